@@ -70,8 +70,8 @@ def test_clips_are_the_tasks_nearest_first_with_their_labels() -> None:
         )
         apart = (clips[:, None] != trace).sum(axis=2).min(axis=1)
         assert (np.diff(apart) >= 0).all()
-        for clip, row in zip(asked.transitions, asked.shows, strict=True):
-            assert row.tolist() == (case.transitions == clip).all(axis=1).tolist()
+        shows = [(case.transitions == clip).all(axis=1).tolist() for clip in asked.transitions]
+        assert asked.to_questions(Limits(), case.transitions).shows.tolist() == shows
     assert len(questions(*CLIPS, "ask.clips=4").texts) == 4
 
 
@@ -139,13 +139,13 @@ def test_a_clip_is_answered_as_the_label_is_mistakes_included() -> None:
     prepared, _ = world(*CLIPS)
     mistakes = 0
     for case in prepared.cases:
-        labels, same = true_thoughts(case)
-        m = len(case.transitions)
+        (labels, same), m = true_thoughts(case), len(case.transitions)
+        asked = case.questions.to_questions(Limits(), case.transitions)
         for user in range(len(prepared.types)):
             person = Slips(0.4, repeats=True).meet(labels.of_types([user]), same, seed=user)
             answers = person.react(0, m).answers
-            for clip, step in zip(*np.nonzero(case.questions.shows), strict=True):
-                answer = person.answer(m + int(clip), 0)
+            for clip, step in np.argwhere(asked.shows).tolist():
+                answer = person.answer(m + clip, 0)
                 assert answer == answers[step]
                 truth = labels.of_types([user]).label_probabilities(m, 0)[0, step]
                 mistakes += answer != truth
@@ -280,7 +280,7 @@ def test_strangers_answer_for_themselves(kind: str) -> None:
             for q in np.flatnonzero(asked.facts >= 0):
                 right = asked.labels.label_probabilities(q + 1, 0)[t, q]
                 assert right == (strangers.messages[asked.facts[q]] not in facts)
-        for q, i in np.argwhere(asked.shows):
+        for q, i in np.argwhere(asked.to_questions(Limits(), case.transitions).shows):
             for given in (0, 5, 63):
                 one = case.labels.label_probabilities(i + 1, given)[:, i]
                 other = asked.labels.label_probabilities(q + 1, given)[:, q]

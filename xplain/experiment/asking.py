@@ -1,13 +1,14 @@
 """The questions that may be asked while a trace is explained: clips of the task, and beliefs about
 its facts.
 
-Setting ── clips, beliefs ── CaseQuestions (one for each trace)
+Setting ── beliefs, clips ── CaseQuestions (one for each trace)
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +32,8 @@ most likely incorrect beliefs."""
 
 @dataclass(frozen=True)
 class CaseQuestions:
-    """Q questions that may be asked while a trace of m transitions is explained. The clips nearest
-    to the trace come first.
+    """Q questions that may be asked while a trace is explained: questions about beliefs, and then
+    clips, the nearest to the trace first.
 
     Attributes:
         transitions: [Q, 3] the transition of each clip; −1 for questions about a belief.
@@ -40,7 +41,6 @@ class CaseQuestions:
         learned: table of P(label is 1) for each question and each of the N learned types. The label
             of a question about a belief is 1 if the user believes the fact correctly.
         labels: table of the true labels for each question and each of M true types.
-        shows: [Q, m] True if the question is a clip of this transition of the trace.
         texts: Q texts (:class:`~xplain.explanation.asking.Questions`).
         right: [Q] index of the true sentence of a question about a belief, 0 or 1; −1 for clips.
         everything: table of P(label is 1) for each question, for a type that believes every fact
@@ -51,7 +51,6 @@ class CaseQuestions:
     facts: NDArray[np.int64]
     learned: LabelTable
     labels: LabelTable
-    shows: NDArray[np.bool_]
     texts: tuple[str, ...]
     right: NDArray[np.int64]
     everything: LabelTable | None = None
@@ -64,7 +63,6 @@ class CaseQuestions:
             self.facts[order],
             self.learned.of_steps(order.tolist()),
             self.labels.of_steps(order.tolist()),
-            self.shows[order],
             tuple(self.texts[q] for q in order),
             self.right[order],
             self.everything and self.everything.of_steps(order.tolist()),
@@ -77,29 +75,26 @@ class CaseQuestions:
             setting: has the types.
             types: numbers of the types whose labels become the true labels.
         """
-        clips, beliefs = np.flatnonzero(self.facts < 0), np.flatnonzero(self.facts >= 0)
-        parts = [setting.true_labels(self.transitions[clips])] if len(clips) else []
-        parts += (
-            [_make_belief_table(setting.wrong, self.facts[beliefs].tolist())]
-            if len(beliefs)
-            else []
-        )
-        whole = join_steps(parts) if parts else self.labels
-        back = np.argsort(np.concatenate([clips, beliefs]), kind="stable")
-        return replace(self, labels=whole.of_steps(back.tolist()).of_types(types))
+        beliefs = self.facts[self.facts >= 0].tolist()
+        labels = [
+            _make_belief_table(setting.wrong, beliefs),
+            setting.true_labels(self.transitions[len(beliefs) :]),
+        ]
+        return replace(self, labels=join_steps(labels).of_types(types))
 
-    def to_questions(self, table: LabelTable, limits: Limits) -> Questions:
-        """Makes the questions of an explanation problem.
+    def to_questions(self, limits: Limits, trace: NDArray[np.int64]) -> Questions:
+        """Makes the questions of an explanation problem for the learned types.
 
         Args:
-            table: P(label is 1) for each question and each type of the problem.
             limits: cost, number and time of questions.
+            trace: [m, 3] the transitions of the trace.
         """
-        return Questions(table, limits, self.shows, self.texts, self.right)
+        shows = (self.transitions[:, None] == trace).all(axis=-1)
+        return Questions(self.learned, limits, shows, self.texts, self.right)
 
 
-QuestionsOf = Callable[[NDArray[np.float64], NDArray[np.int64]], CaseQuestions]
-"""Selects the questions of a trace from the features [m, F] of its transitions [m, 3]."""
+QuestionsOf = Callable[[NDArray[np.float64]], CaseQuestions]
+"""Selects the questions of a trace from the features [m, F] of its transitions."""
 
 
 def prepare_questions(
@@ -109,37 +104,44 @@ def prepare_questions(
     wrong: NDArray[np.float64] | None,
     seed: int,
 ) -> QuestionsOf:
-    """Returns the function that selects the questions of a trace: questions about beliefs, and then
-    the clips nearest to the trace (:func:`~xplain.explanation.asking.alike_first`).
+    """Returns the function that selects the questions of a trace from all questions about beliefs
+    and all clips (:func:`~xplain.explanation.asking.alike_first`).
 
     Args:
         setting, wrong, seed: as in :func:`belief_questions`.
         tables: computes the labels of clips by all labelers; called once for all transitions.
         pool: the kinds of questions, and the maximum number for a trace.
     """
-    clips = clip_questions(setting, tables) if "clips" in pool.kinds else None
-    beliefs = belief_questions(setting, wrong, seed) if "beliefs" in pool.kinds else None
-    every = transition_features(setting.domain, setting.reachable)
+    makers: dict[str, Callable[[], CaseQuestions]] = {
+        "beliefs": lambda: belief_questions(setting, wrong, seed),
+        "clips": lambda: clip_questions(setting, tables),
+    }
+    every = reduce(_join, [make() for kind, make in makers.items() if kind in pool.kinds])
+    count = int((every.facts >= 0).sum())
+    features = transition_features(setting.domain, every.transitions[count:])
 
-    def select(features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
-        parts = []
-        if beliefs is not None:  # these questions show no step
-            shows = np.zeros((len(beliefs.facts), len(transitions)), np.bool_)
-            parts.append(replace(beliefs, shows=shows))
-        if clips is not None:
-            order = nearest_first(every, features)
-            alike = alike_first(clips.learned.of_steps(order.tolist()), pool.clips)
-            near = clips.take(order[alike])
-            shows = (near.transitions[:, None] == transitions).all(axis=-1)
-            parts.append(replace(near, shows=shows))
-        return merge_questions(parts, pool.clips)
+    def select(of_trace: NDArray[np.float64]) -> CaseQuestions:
+        order = np.concatenate([np.arange(count), count + nearest_first(features, of_trace)])
+        alike = alike_first(every.learned.of_steps(order.tolist()), pool.clips)
+        return every.take(order[alike])
 
     return select
 
 
+def _join(one: CaseQuestions, other: CaseQuestions) -> CaseQuestions:
+    return CaseQuestions(
+        np.concatenate([one.transitions, other.transitions]),
+        np.concatenate([one.facts, other.facts]),
+        join_steps([one.learned, other.learned]),
+        join_steps([one.labels, other.labels]),
+        one.texts + other.texts,
+        np.concatenate([one.right, other.right]),
+        one.everything and other.everything and join_steps([one.everything, other.everything]),
+    )
+
+
 def clip_questions(setting: Setting, tables: TablesOf) -> CaseQuestions:
-    """Makes a question about each transition that the robot can make. The questions are independent
-    of traces: ``shows`` is [Q, 0]."""
+    """Makes a question about each transition that the robot can make."""
     transitions, none = setting.reachable, np.full(len(setting.reachable), -1)
     asked = tables(transition_features(setting.domain, transitions), transitions)
     return CaseQuestions(
@@ -147,7 +149,6 @@ def clip_questions(setting: Setting, tables: TablesOf) -> CaseQuestions:
         facts=none,
         learned=asked.learned,
         labels=setting.true_labels(transitions),
-        shows=np.zeros((len(transitions), 0), np.bool_),
         texts=tuple(setting.domain.describe(one) for one in transitions),
         right=none,
         everything=asked.everything,
@@ -160,7 +161,7 @@ def belief_questions(
     """Makes a question about each fact that has two sentences: which of the two does the user
     believe?
 
-    Answer 1 is the true sentence. The questions are independent of traces: ``shows`` is [Q, 0].
+    Answer 1 is the true sentence.
 
     Args:
         setting: has the true types.
@@ -178,17 +179,14 @@ def belief_questions(
     if not facts:
         raise InputError("ask", "beliefs", "clips: no fact of the domain has two sentences")
     right = stream(seed, "ask", "order of sentences").integers(0, 2, len(facts))
-    texts = []
-    for j, first in zip(facts, right.tolist(), strict=True):
-        pair = (parameters[j].message, parameters[j].belief)
-        texts.append("\n".join(pair[::-1] if first else pair))
+    pairs = [(parameters[j].message, parameters[j].belief) for j in facts]
+    order = [pair[::-1] if last else pair for pair, last in zip(pairs, right, strict=True)]
     return CaseQuestions(
         transitions=np.full((len(facts), 3), -1),
         facts=np.array(facts),
         learned=_make_belief_table(wrong, facts),
         labels=_make_belief_table(setting.wrong, facts),
-        shows=np.zeros((len(facts), 0), np.bool_),
-        texts=tuple(texts),
+        texts=tuple(map("\n".join, order)),
         right=right,
         everything=_make_belief_table(np.ones((1, setting.n_messages)), facts),
     )
@@ -216,28 +214,3 @@ def _make_belief_table(wrong: NDArray[np.float64], facts: Sequence[int]) -> Labe
         rows.append(relevant)
         tables.append(table)
     return LabelTable.join_types(rows, tables)
-
-
-def merge_questions(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions:
-    """Merges lists of questions, and selects at most ``most`` of them
-    (:func:`~xplain.explanation.asking.alike_first`).
-
-    Args:
-        parts: lists of questions; in each list, the questions nearest to the trace come first.
-        most: maximum number of questions.
-    """
-    whole = parts[0]
-    for part in parts[1:]:
-        whole = CaseQuestions(
-            np.concatenate([whole.transitions, part.transitions]),
-            np.concatenate([whole.facts, part.facts]),
-            join_steps([whole.learned, part.learned]),
-            join_steps([whole.labels, part.labels]),
-            np.concatenate([whole.shows, part.shows]),
-            whole.texts + part.texts,
-            np.concatenate([whole.right, part.right]),
-            whole.everything
-            and part.everything
-            and join_steps([whole.everything, part.everything]),
-        )
-    return whole.take(alike_first(whole.learned, most))

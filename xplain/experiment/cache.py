@@ -40,19 +40,23 @@ def source_fingerprint(config: Mapping[str, Any]) -> str:
     return fingerprint({key: config[key] for key in SOURCE} | {"ask": pool})
 
 
-def load_or_prepare(folder: Path, key: str, make: Callable[[], PreparedData]) -> PreparedData:
+def load_or_prepare(
+    folder: Path | None, key: str, make: Callable[[], PreparedData]
+) -> PreparedData:
     """Reads the entry of this key, or computes and stores it.
 
     Processes that need the same entry at the same time wait for the first one. If the folder cannot
     be written, the entry is not shared.
 
     Args:
-        folder: folder of the cache.
+        folder: folder of the cache; None stores nothing.
         key: key from :func:`source_fingerprint`.
         make: computes the entry.
     """
     from filelock import FileLock
 
+    if folder is None:
+        return make()
     path = folder / f"{key}.npz"
     if (kept := _try_read(path)) is not None:
         return kept
@@ -79,9 +83,8 @@ def _try_read(path: Path) -> PreparedData | None:
 def _read_entry(path: Path, written: int) -> PreparedData:
     """Reads an entry. Keeps the last entry in memory, because the jobs of a batch share it."""
     with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
-    content = json.loads(str(arrays["content"]))
-    prepared: PreparedData = decode(PreparedData, content, arrays)
+        arrays = dict(file)
+    prepared: PreparedData = decode(PreparedData, json.loads(str(arrays["content"])), arrays)
     return prepared
 
 

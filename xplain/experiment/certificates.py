@@ -16,7 +16,7 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.interaction.statistics import half_width
 from xplain.solvers.base import Solver
-from xplain.solvers.bounds import Bounds, bounds
+from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.hsvi import Effort
 
@@ -82,13 +82,11 @@ class Certify:
         rows, cases = [], prepared.cases[: self.traces]
         for index, case in progress.track(enumerate(cases), "certificates", len(cases)):
             problem = problem_of_types(prepared, case, costs, belief_update)
-            own = problem_for(prepared, case, costs, solver, belief_update, 0)
+            own = None
+            if belief_update.fresh_labels and solver.knows not in ("type", "labels"):
+                own = problem_for(prepared, case, costs, solver, belief_update, 0)
             try:
-                found, row = self._compute_bounds(problem, progress)
-                if belief_update.fresh_labels and solver.knows not in ("type", "labels"):
-                    own_seed = trace_seed(seed, index)
-                    row |= self._evaluate_policy(found, problem, own, solver, own_seed, progress)
-                rows.append(row)
+                rows.append(self._certify(problem, own, solver, trace_seed(seed, index), progress))
             except TooLargeError as error:
                 log.warning("no certificate of trace %d: %s", index, error)
         if not rows:
@@ -104,30 +102,35 @@ class Certify:
             means["fresh_labels"] = 0.0
         return means | {"traces": float(len(rows))}
 
-    def _compute_bounds(
-        self, problem: Problem, progress: Progress
-    ) -> tuple[Bounds, dict[str, float]]:
+    def _certify(
+        self,
+        problem: Problem,
+        own: Problem | None,
+        solver: Solver,
+        seed: int,
+        progress: Progress,
+    ) -> dict[str, float]:
+        """Computes the figures of one trace.
+
+        Args:
+            problem: the problem under the learned types.
+            own: the problem that the solver plans for; None leaves out the figures of the policy.
+            solver, seed: make the policy.
+            progress: receives the progress.
+        """
         with progress.stage("bounds of the optimum"):
             effort = Effort(gap=self.gap, nodes=self.nodes, memory_gib=self.memory_gib)
             found = bounds(problem, effort, lambda gap: progress.note(f"gap {gap:.4f} so far"))
         low, high = found.value_of_perfect_information
-        return found, {
+        figures = {
             "optimal_lower": found.lower,
             "optimal_upper": found.upper,
             "known_type_value": found.known_type,
             "value_of_perfect_information_low": low,
             "value_of_perfect_information_high": high,
         }
-
-    def _evaluate_policy(
-        self,
-        found: Bounds,
-        problem: Problem,
-        own: Problem,
-        solver: Solver,
-        seed: int,
-        progress: Progress,
-    ) -> dict[str, float]:
+        if own is None:
+            return figures
         # A policy for a one-type problem uses no belief. Its value for several types is its value
         # for the mixture of these types, if all types accept all messages.
         world = problem
@@ -137,13 +140,11 @@ class Certify:
         with progress.stage("value of this policy"):
             worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
         margin = half_width(worth.value_se, self.episodes - 1)
-        low, _ = found.suboptimality(worth.value + margin)
-        _, high = found.suboptimality(worth.value - margin)
-        return {
+        return figures | {
             "policy_value": worth.value,
             "policy_value_se": worth.value_se,
             "policy_value_exact": float(worth.value_is == "exact"),
             "policy_cost": worth.cost,
-            "price_of_approximation_low": low,
-            "price_of_approximation_high": high,
+            "price_of_approximation_low": found.suboptimality(worth.value + margin)[0],
+            "price_of_approximation_high": found.suboptimality(worth.value - margin)[1],
         }

@@ -184,36 +184,34 @@ def _exit_interrupted(error: BaseException) -> NoReturn:
 def one_line(error: BaseException) -> str | None:
     """Describes an error that the user can correct, in one line. None for other errors."""
     for cause in _list_causes(error):
-        if isinstance(cause, XplainError):
-            return str(cause)
-        if isinstance(cause, MissingConfigException):
-            return _describe_unknown_choice(cause)
-        if isinstance(cause, OverrideParseException):
-            return (
-                f"{cause.override}: cannot be read; several values have commas between them "
-                "(lambda=0.5,1), and text with special letters has quotes"
-            )
-        if isinstance(cause, ConfigCompositionException):
-            return _describe_composition(cause)
-        if isinstance(cause, ConfigAttributeError | ConfigKeyError):
-            return _describe_unknown_key(cause)
-        if isinstance(cause, OmegaConfBaseException):
-            key = getattr(cause, "full_key", None) or "config"
-            if isinstance(cause, MissingMandatoryValue):
+        key = getattr(cause, "full_key", None) or "config"
+        match cause:
+            case XplainError():
+                return str(cause)
+            case MissingConfigException():
+                return _describe_unknown_choice(cause)
+            case OverrideParseException():
+                return (
+                    f"{cause.override}: cannot be read; several values have commas between them "
+                    "(lambda=0.5,1), and text with special letters has quotes"
+                )
+            case ConfigCompositionException():
+                return _describe_composition(cause)
+            case ConfigAttributeError() | ConfigKeyError():
+                return _describe_unknown_key(cause)
+            case MissingMandatoryValue():
                 return f"{key}: has to be given: {key}=VALUE"
-            if other := _OTHER_KIND(first_line(cause)):
-                return str(InputError(key, other[1], _KINDS[other[2]]))
-            return f"{key}: {first_line(cause)}"
-        if isinstance(cause, MarkedYAMLError) and (mark := cause.problem_mark) is not None:
-            return f"{mark.name}: line {mark.line + 1}: {cause.problem}"
-        if isinstance(cause, ModuleNotFoundError) and cause.name in OF_PEOPLE:
-            return f"{cause.name} is not installed: pip install 'xplain-hri[people]'"
-        if isinstance(cause, OSError) and cause.strerror is not None:
-            where = "" if cause.filename is None else f"{cause.filename}: "
-            return f"{where}{cause.strerror}"
-    if isinstance(error, HydraException):
-        return " ".join(str(error).split())
-    return None
+            case OmegaConfBaseException():
+                if other := _OTHER_KIND(first_line(cause)):
+                    return str(InputError(key, other[1], _KINDS[other[2]]))
+                return f"{key}: {first_line(cause)}"
+            case MarkedYAMLError(problem_mark=mark) if mark is not None:
+                return f"{mark.name}: line {mark.line + 1}: {cause.problem}"
+            case ModuleNotFoundError() if cause.name in OF_PEOPLE:
+                return f"{cause.name} is not installed: pip install 'xplain-hri[people]'"
+            case OSError() if cause.strerror is not None:
+                return ": ".join(filter(None, [cause.filename, cause.strerror]))
+    return " ".join(str(error).split()) if isinstance(error, HydraException) else None
 
 
 _KINDS = {"Float": "a number", "Integer": "a whole number", "bool": "true or false"}
@@ -225,11 +223,9 @@ _OTHER_KIND = re.compile(
 
 def _list_causes(error: BaseException) -> list[BaseException]:
     """Lists an error and its causes. Errors of this package come first."""
-    chain: list[BaseException] = []
-    current: BaseException | None = error
-    while current is not None and current not in chain:
-        chain.append(current)
-        current = current.__cause__ or current.__context__
+    chain = [error]
+    while (own := chain[-1].__cause__ or chain[-1].__context__) is not None and own not in chain:
+        chain.append(own)
     return sorted(chain, key=lambda item: not isinstance(item, XplainError))
 
 

@@ -51,8 +51,6 @@ class Experiment:
         are drawn. Caches the result in the folder ``cache`` by its ``key``. Without a folder,
         always computes the result."""
         with progress.stage("data, user types and labelers"):
-            if cache is None:
-                return prepare(self.components(), progress)
             return load_or_prepare(cache, key, lambda: prepare(self.components(), progress))
 
     def explain_cases(
@@ -79,7 +77,7 @@ class Experiment:
 
         truth = with_true_labels(prepared)
         habits = self.belief.habits(prepared.habits)
-        seen = without_tables(truth, self.belief, prepared)
+        seen = without_tables(truth, self.belief, oracle=True)
         records = cache.load_or_make(
             replace(seen, habits=habits),
             ("solver",),
@@ -89,11 +87,11 @@ class Experiment:
         # strangers are unknown.
         true_labels: list[Record] = []
         if self.solver.knows == "types" and not stranger:
-            known, what = without_tables(truth, self.belief), "explaining, true labels known"
+            known, name = without_tables(truth, self.belief, oracle=False), "true_labels"
             true_labels = cache.load_or_make(
                 replace(known, habits=habits),
                 (),
-                lambda: explain(known, {"true_labels": self.solver}, what),
+                lambda: explain(known, {name: self.solver}, "explaining, true labels known"),
             )
         if true_labels and same_problems(prepared, truth):  # nothing was learned
             own = [replace(record, solver="solver") for record in true_labels]
@@ -103,9 +101,3 @@ class Experiment:
             safe: dict[str, Solver] = {"say_all": SayAll(), "conformant": Conformant()}
             own += explain(prepared, safe, "references for people of no type")
         return prepared, [*own, *records, *true_labels]
-
-    def certificates(self, prepared: PreparedData, progress: Progress) -> dict[str, float]:
-        """Computes the certificates of the solver's problems (:meth:`Certify.certificates`)."""
-        return self.certify.certificates(
-            prepared, self.costs, self.solver, self.belief, self.seed, progress
-        )

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, Range, number, one_of
+from xplain.errors import InputError, Range, checks, number, one_of
 from xplain.experiment.pipeline import Case, PreparedData
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.actions import VisibleState
@@ -25,7 +25,14 @@ from xplain.interaction.metrics import Record
 from xplain.randomness import derive_seed
 from xplain.solvers.base import CachedPolicy, Solver
 
+LACKING = {
+    "everyone": "another solver: the labeler for all users tests too many messages on one trace",
+    "type": "another solver: this one needs observers of every type, whose true types are known",
+}
+"""Allowed values if there is no table of the labels that a solver knows."""
 
+
+@checks()
 @dataclass(frozen=True)
 class Costs:
     """The costs of messages and of inexplicable labels, and the discount of plans (docs/method.md,
@@ -54,7 +61,6 @@ class Costs:
         names = tuple(self.message_cost) if isinstance(self.message_cost, Mapping) else ()
         table = LabelTable.by_type(np.empty((1, 0), np.int64), np.full((1, 1, 1), 0.5))
         self.problem(table, names, ("type",), np.ones(1))
-        one_of("prior", self.prior, ("uniform", "observers"))
 
     def message_costs(self, names: tuple[str, ...]) -> NDArray[np.float64]:
         """Returns [n], the cost C_e of each message.
@@ -66,15 +72,12 @@ class Costs:
         costs = self.message_cost
         if not isinstance(costs, Mapping):
             return np.full(len(names), number("message_cost", costs, Range(0)))
-        unknown = [name for name in costs if name not in names]
-        if unknown:
-            raise InputError("message_cost", unknown[0], f"messages: {', '.join(names)}")
-        missing = [name for name in names if name not in costs]
-        if missing:
+        for name in costs:
+            one_of("message_cost", name, names, "message")
+        if missing := [name for name in names if name not in costs]:
             wanted = f"a cost of each message; {', '.join(missing)} missing"
             raise InputError("message_cost", dict(costs), wanted)
-        keys = [f"message_cost.{name}" for name in names]
-        return np.array([number(k, costs[n], Range(0)) for k, n in zip(keys, names, strict=True)])
+        return np.array([number(f"message_cost.{n}", costs[n], Range(0)) for n in names])
 
     def problem(
         self,
@@ -113,13 +116,12 @@ def problem_of_types(
     names, shares = prepared.learned_types, prepared.type_shares
     problem = costs.problem(case.learned, prepared.messages, names, shares)
     problem = replace(problem, copies=copies(case.transitions))
-    if case.questions is not None:
-        questions = case.questions.to_questions(case.questions.learned, costs.asking)
-        problem = replace(problem, questions=questions)
+    if (asked := case.questions) is not None:
+        problem = replace(problem, questions=asked.to_questions(costs.asking, case.transitions))
     facts = None
     if prepared.wrong is not None and case.everything is not None:
-        asked = None if case.questions is None else case.questions.everything
-        facts = Facts(case.everything, fact_sets(prepared.wrong), asked, prepared.new)
+        about_facts = None if asked is None else asked.everything
+        facts = Facts(case.everything, fact_sets(prepared.wrong), about_facts, prepared.new)
     return belief_update.people(problem, prepared.habits, facts)
 
 
@@ -148,26 +150,19 @@ def problem_for(
         InputError: the solver needs the observers' true types, and they are unknown; or the labeler
             for all users tests too many messages on this trace.
     """
-    name = prepared.types[user]
-    alone = np.ones(1)
     if solver.knows == "types":
         return problem_of_types(prepared, case, costs, belief_update)
-    if solver.knows == "everyone":
-        if case.everyone is None:
-            raise InputError(
-                "solver",
-                "baseline",
-                "another solver: the labeler for all users tests too many messages on one trace",
-            )
-        return costs.problem(case.everyone, prepared.messages, ("everyone",), alone)
-    if solver.knows == "labels":
-        truth = case.labels.of_types([user]) if thoughts is None else thoughts
-        return costs.problem(truth, prepared.messages, (name,), alone)
-    if case.perfect is None:
-        raise InputError(
-            "solver", "oracle", "needs observers of every type, whose true types are known"
-        )
-    return costs.problem(case.perfect.of_types([user]), prepared.messages, (name,), alone)
+    name = prepared.types[user]
+    match solver.knows:
+        case "everyone":
+            name, table = "everyone", case.everyone
+        case "labels":
+            table = case.labels.of_types([user]) if thoughts is None else thoughts
+        case _:
+            table = case.perfect and case.perfect.of_types([user])
+    if table is None:
+        raise InputError("solver", type(solver).__name__, LACKING[solver.knows])
+    return costs.problem(table, prepared.messages, (name,), np.ones(1))
 
 
 def evaluate(
@@ -222,11 +217,9 @@ def evaluate(
                 person = explainee.meet(labels, same, own)
                 episode = explain(problem, policy, person, belief_update, solver.knows == "labels")
                 right = np.ones(problem.n_user_types, dtype=bool)
-                if solver.knows == "types":
-                    right[:] = False  # no true type is "none of the learned types"
-                    right[: len(prepared.learned_types)] = (
-                        prepared.matched_true_type == prepared.distinct[user]
-                    )
+                if solver.knows == "types":  # no true type is "none of the learned types"
+                    matched = prepared.matched_true_type == prepared.distinct[user]
+                    right = np.pad(matched, (0, len(right) - len(matched)))
                 records.append(Record(name, index, user, right, episode))
     return records
 
@@ -246,17 +239,19 @@ def with_true_labels(prepared: PreparedData) -> PreparedData:
         learned_types=prepared.types,
         matched_true_type=prepared.distinct,
         type_shares=np.full(count, 1 / count),
-        cases=tuple(_use_true_labels(case) for case in prepared.cases),
+        cases=tuple(
+            replace(
+                case,
+                learned=case.labels,
+                questions=case.questions and replace(case.questions, learned=case.questions.labels),
+            )
+            for case in prepared.cases
+        ),
     )
 
 
-def _use_true_labels(case: Case) -> Case:
-    asked = case.questions and replace(case.questions, learned=case.questions.labels)
-    return replace(case, learned=case.labels, questions=asked)
-
-
 def without_tables(
-    prepared: PreparedData, belief_update: BeliefUpdate, oracle: PreparedData | None = None
+    prepared: PreparedData, belief_update: BeliefUpdate, oracle: bool
 ) -> PreparedData:
     """Removes the results of learning, which solvers with true labels do not use. What remains is
     the same for all learners, except for an open belief.
@@ -265,10 +260,8 @@ def without_tables(
         prepared: result of :func:`with_true_labels`.
         belief_update: an open belief uses the learned labels of people without a found type, so
             these labels are kept for it.
-        oracle: has the oracle's labels, which are kept; None if no explainer needs these labels.
+        oracle: True keeps the oracle's labels, because the oracle is one of the explainers.
     """
-    perfect = [None if oracle is None else case.perfect for case in (oracle or prepared).cases]
-    pairs = zip(prepared.cases, perfect, strict=True)
     return replace(
         prepared,
         learning={},
@@ -278,10 +271,10 @@ def without_tables(
             replace(
                 case,
                 everyone=None,
-                perfect=table,
+                perfect=case.perfect if oracle else None,
                 everything=case.everything if belief_update.open else None,
             )
-            for case, table in pairs
+            for case in prepared.cases
         ),
     )
 

@@ -18,7 +18,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from importlib import metadata
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -97,25 +97,23 @@ def git_state() -> dict[str, str]:
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return {}
-    words = (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
-    run = partial(subprocess.run, capture_output=True, text=True, check=True, timeout=10)
+    words = ["describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
     try:
-        commit, changes = (run(["git", "-C", str(root), *own]).stdout.strip() for own in words)
+        said = subprocess.run(
+            ["git", *words], cwd=root, capture_output=True, text=True, check=True, timeout=10
+        ).stdout
     except (OSError, subprocess.SubprocessError):
         return {}
-    return {"commit": commit, "dirty": str(bool(changes)).lower()}
+    commit, dirty, _ = said.strip().partition("-dirty")
+    return {"commit": commit, "dirty": str(bool(dirty)).lower()}
 
 
 @cache
 def library_versions() -> dict[str, str]:
     """Reads the versions of Python and of LIBRARIES."""
-    versions = {"python": ".".join(map(str, sys.version_info[:2]))}
-    for name in LIBRARIES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "none"
-    return versions
+    found = {n: own.version for n in LIBRARIES for own in metadata.distributions(name=n)}
+    python = ".".join(map(str, sys.version_info[:2]))
+    return {"python": python, **dict.fromkeys(LIBRARIES, "none"), **found}
 
 
 def component_code(config: Any) -> dict[str, str]:
@@ -162,14 +160,15 @@ _NAMES_CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.-]*").fullmatch
 
 def _list_texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
     """Yields (key, text) for every text in a configuration. The key is "" for a text in a list."""
-    if isinstance(node, str):
-        yield key, node
-    elif isinstance(node, dict):
-        for name, value in node.items():
-            yield from _list_texts(value, name)
-    elif isinstance(node, list):
-        for value in node:
-            yield from _list_texts(value)
+    match node:
+        case str():
+            yield key, node
+        case dict():
+            for name, value in node.items():
+                yield from _list_texts(value, name)
+        case list():
+            for value in node:
+                yield from _list_texts(value)
 
 
 def _find_file(text: str) -> Path | None:
@@ -251,16 +250,12 @@ def _digest_of(sources: list[tuple[str, bytes]]) -> str:
 def _list_imports(source: bytes) -> set[str]:
     """Lists top-level names that a source file imports absolutely."""
     try:
-        tree = ast.parse(source)
+        nodes = [*ast.walk(ast.parse(source))]
     except (SyntaxError, ValueError):
         return set()
-    names: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names |= {alias.name.partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            names.add(node.module.partition(".")[0])
-    return names
+    names = [one.name for node in nodes if isinstance(node, ast.Import) for one in node.names]
+    names += [n.module or "" for n in nodes if isinstance(n, ast.ImportFrom) and n.level == 0]
+    return {name.partition(".")[0] for name in names}
 
 
 @cache

@@ -114,9 +114,7 @@ def prepare(components: Components, progress: Progress = SILENT) -> PreparedData
     known, tables = find_types(observed, components.labeler, components.clusterer, seed)
     traces = progress.track(range(components.traces), "labelling traces", components.traces)
     pool = components.ask
-    ask = None
-    if pool is not None:
-        ask = prepare_questions(setting, tables, pool, known.wrong, seed)
+    ask = None if pool is None else prepare_questions(setting, tables, pool, known.wrong, seed)
     return PreparedData(
         **vars(known),
         domain=domain.name,
@@ -180,7 +178,7 @@ def build_case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
-        questions=ask and ask(features, transitions),
+        questions=ask and ask(features),
         changes=changes_of(domain, transitions),
         labels=setting.true_labels(transitions),
         **vars(tables(features, transitions)),

@@ -5,8 +5,6 @@ A run's folder contains ``results.json`` (:class:`Results`: figures, configurati
 pictures.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping
@@ -20,7 +18,6 @@ from xplain.explanation.asking import Question, make_question
 from xplain.explanation.message_sets import names_of
 from xplain.interaction.episode import Episode
 from xplain.interaction.metrics import Record, by_step, summarise
-from xplain.interaction.statistics import Estimate
 from xplain.storage import decode, encode, write_text
 
 RESULTS = "results.json"
@@ -41,12 +38,6 @@ class Figure:
     mean: float
     low: float | None
     high: float | None
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> Figure:
-        """Converts an estimate. An end of the interval that is not finite becomes None, because
-        JSON has no such numbers."""
-        return cls(estimate.mean, _keep_finite(estimate.low), _keep_finite(estimate.high))
 
 
 @dataclass(frozen=True)
@@ -216,7 +207,10 @@ def results_of(prepared: PreparedData, records: list[Record], provenance: Proven
     """
     return Results(
         **vars(provenance),
-        metrics={name: Figure.of(found) for name, found in summarise(records).items()},
+        metrics={  # JSON has no infinite numbers and no NaN
+            name: Figure(own.mean, *(x if math.isfinite(x) else None for x in (own.low, own.high)))
+            for name, own in summarise(records).items()
+        },
         bounds={},
         certificates="not asked for",
         learning={k: v for k, v in prepared.learning.items() if math.isfinite(v)},
@@ -332,7 +326,3 @@ def find_finished(address: Path) -> Results | None:
         return None
     whole = results.fingerprint == address.name and results.certificates != "failed"
     return results if whole else None
-
-
-def _keep_finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -145,7 +145,14 @@ class Job:
         if experiment.certify.traces:
             bounds: dict[str, float] = {}
             with attempt("there are no certificates"):
-                bounds = experiment.certificates(prepared, progress)
+                bounds = experiment.certify.certificates(
+                    prepared,
+                    experiment.costs,
+                    experiment.solver,
+                    experiment.belief,
+                    experiment.seed,
+                    progress,
+                )
             seconds = {**results.seconds, "bounds": time.perf_counter() - explained}
             made = "made" if bounds else "failed"
             results = replace(results, bounds=bounds, certificates=made, seconds=seconds)
