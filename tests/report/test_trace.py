@@ -92,6 +92,10 @@ def test_points_of_four_lines_stay_at_two_ticks() -> None:
         for x in (0.5, 2.0)
     )
     (axes,) = draw(points, "x", "y").axes
-    drawn = [line.get_xdata() for line in axes.lines if len(line.get_xdata()) == 2]
+    drawn = [  # without the line at 0
+        line.get_xdata()
+        for line in axes.lines
+        if len(line.get_xdata()) == 2 and line.get_marker() != "None"
+    ]
     assert len(drawn) >= 4
     assert np.abs(np.array(drawn) - [0.5, 2.0]).max() < 0.1

@@ -108,34 +108,30 @@ def claims(summary: Summary) -> list[Claim]:
     domain. Returns no claim for other sweeps."""
     _, grouping, _ = compare.layout(summary)
     found = []
-    for group, frame in compare.group_episodes(summary, grouping) if summary.is_table1 else []:
-        name = group_title(group, compare.label(group))
-        own = compare.select_rows(
-            summary.data_sets, {k: v for k, v in group.items() if k in summary.settings}
-        )
-        found += claims_of(frame, own, name, summary.pool)
+    keys = [*grouping, "domain"]
+    for values, own in compare.group_episodes(summary, keys) if summary.is_table1 else []:
+        group = {key: values[key] for key in grouping}
+        name, domain = group_title(group, compare.label(group)), str(values["domain"])
+        known = {key: value for key, value in values.items() if key in summary.settings}
+        data_sets = compare.select_rows(summary.data_sets, known)
+        found += [Claim(name, domain, *one) for one in check_claims(own, data_sets, summary.pool)]
     return found
 
 
-def claims_of(
-    episodes: pd.DataFrame, data_sets: pd.DataFrame, group: str = "", pool: Sequence[str] = ()
-) -> list[Claim]:
-    """Tests the claims in one group of the table's columns.
+def check_claims(
+    episodes: pd.DataFrame, data_sets: pd.DataFrame, pool: Sequence[str] = ()
+) -> Iterator[Tested]:
+    """Tests the claims on one domain, in one group of the table's columns. Yields the attributes of
+    each claim, without its group and domain.
 
     Args:
         episodes: a row for each episode (:attr:`xplain.report.frame.Summary.episodes`).
         data_sets: a row for each data set (:attr:`xplain.report.frame.Summary.data_sets`).
-        group: name of the group.
         pool: the swept keys over whose values the costs are averaged.
     """
-    found: list[Claim] = []
-    domains: Any = episodes.groupby("domain", sort=False)
-    for domain, own in domains:
-        tested = [*_test_orders(own, pool), *_test_linearity(own)]
-        if len(data_sets):
-            tested += _test_types(data_sets[data_sets["domain"] == domain])
-        found += [Claim(group, domain, *one) for one in tested]
-    return found
+    yield from _test_orders(episodes, pool)
+    yield from _test_linearity(episodes)
+    yield from _test_types(data_sets)
 
 
 Tested = tuple[str, str, Estimate, Range, str]
@@ -238,9 +234,8 @@ def claims_table(summary: Summary) -> Table:
     for claim in claims(summary):
         heads = {"Domain": title(claim.domain), "Claim": claim.text, "Figure": claim.figure}
         row = rows.setdefault((claim.domain, claim.text), heads)
-        figure = f"{number(claim.estimate.mean)} {interval(claim.estimate)}".strip()
-        fails = claim.verdict == "does not hold"
-        words = [claim.verdict, figure, *([f"({claim.parts})"] if fails else [])]
+        words = [claim.verdict, f"{number(claim.estimate.mean)} {interval(claim.estimate)}".strip()]
+        words += [f"({claim.parts})"] * (claim.verdict == "does not hold")
         row[claim.group or "Verdict"] = "\n".join(words)
     caption = "95 % intervals over seeds in brackets; differences are on the same traces and users."
     return table_of([*rows.values()], 3, caption)
@@ -273,36 +268,28 @@ def compute_ratios(summary: Summary) -> Table:
     an empty table if the sweep has one kind of people.
 
     A ratio is the cost of a way divided by the cost of the best other way in the sweep, for the
-    same people. Above 1, the other way costs less. The last rows are geometric means over the kinds
-    of people.
+    same people. Above 1, the other way costs less.
     """
     if "explainee" not in summary.posed:
         return table_of([], 1)
-    found = []
-    for values, frame in compare.group_episodes(summary, summary.posed):
-        ways = compare.group_episodes(summary, summary.ways or ["solver"], frame)
-        costs = pd.DataFrame(
-            {compare.label(k): own.set_index(summary.problem)["cost"] for k, own in ways}
-        )
-        for way in costs:
-            best = costs.drop(columns=way).mean().idxmin()
-            both = costs[[way, best]].dropna()
+
+    def cells(own: pd.DataFrame) -> dict[str, str]:
+        ways = compare.group_episodes(summary, summary.ways or ["solver"], own)
+        costs = {compare.label(way): e.set_index(summary.problem)["cost"] for way, e in ways}
+        found = {}
+        for way, cost in costs.items():
+            others = [other for name, other in costs.items() if name != way]
+            both = pd.concat([cost, min(others, key=pd.Series.mean)], axis=1, join="inner")
             clusters = both.index.get_level_values(summary.replicate)
-            ratio = clustered_ratio(both[way], both[best], clusters)
-            text = f"{ratio.mean:.2f} ± {(ratio.high - ratio.low) / 2:.2f}"
-            found.append({**compare.headings(values), "way": way, "mean": ratio.mean, "text": text})
-    cells = pd.DataFrame(found)
-    posed = [compare.heading(key) for key in summary.posed]
-    kinds = {head: "all" for head in posed if head.startswith("explainee")}
-    cells["log"] = np.log(cells["mean"].clip(1e-9))
-    every = cells.assign(**kinds).groupby([*posed, "way"], sort=False)["log"].mean()
-    means = np.exp(every).map("{:.2f}".format).reset_index(name="text")
-    shown = pd.concat([cells, means]).set_index([*posed, "way"])["text"].unstack(sort=False)
+            ratio = clustered_ratio(both.iloc[:, 0], both.iloc[:, 1], clusters)
+            found[way] = f"{ratio.mean:.2f} ± {(ratio.high - ratio.low) / 2:.2f}"
+        return found
+
     caption = (
         "Cost divided by the cost of the best other way for the same people, with its 95 % "
         "interval."
     )
-    return Table(shown.fillna("").reset_index(), len(posed), caption)
+    return compare.tabulate(summary, summary.posed, summary.episodes, cells, caption)
 
 
 def answer(summary: Summary) -> str:

@@ -91,14 +91,15 @@ def difference(summary: Summary, one: pd.DataFrame, other: pd.DataFrame) -> Esti
 
 
 @dataclass(frozen=True)
-class RankedWay:
-    """One way to solve a problem, ranked among all ways that the sweep compares.
+class ComparedWay:
+    """One way to solve a problem, compared with the best way of the sweep.
 
     Attributes:
         values: values of the swept keys that define the way.
         episodes: episodes of the way, on the traces and users that all ways have.
         behind: cost of this way minus the cost of the best way, on the same traces and users; NaN
-            if no trace and user is shared by all ways, or if the measure is not fair.
+            if there is one way, if no trace and user is shared by all ways, or if the measure is
+            not fair.
     """
 
     values: Mapping[str, Value]
@@ -123,9 +124,8 @@ class RankedWay:
         return "" if self.is_decided or math.isnan(self.behind.mean) else TIE
 
 
-def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[RankedWay]:
-    """Ranks the ways to solve a problem by the mean of the measure that compares the sweep's jobs,
-    the lowest first.
+def compare_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[ComparedWay]:
+    """Compares the ways to solve a problem with the way that has the lowest mean of the measure.
 
     Only traces and users for which all ways have an episode count. If jobs are missing, means over
     all episodes would compare different traces and users. If no trace and user is shared by all
@@ -142,16 +142,16 @@ def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[
     problem = [known[key] for key in summary.problem]
     shared = known[ways.groupby(problem).transform("nunique") == ways.nunique()]
     found = group_episodes(summary, by, shared if len(shared) else frame)
-    found.sort(key=lambda way: round(float(way[1][measure].mean()), 9))
-    is_known = len(shared) and summary.measure.fair
+    _, best = min(found, key=lambda way: round(float(way[1][measure].mean()), 9))
+    is_known = len(shared) and summary.measure.fair and len(found) > 1
     return [
-        RankedWay(way, own, difference(summary, own, found[0][1]) if is_known else UNKNOWN)
+        ComparedWay(way, own, difference(summary, own, best) if is_known else UNKNOWN)
         for way, own in found
     ]
 
 
 @lru_cache(maxsize=1)
-def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[RankedWay]]]:
+def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[ComparedWay]]]:
     """Ranks the ways to solve each problem of a sweep.
 
     Returns:
@@ -161,8 +161,12 @@ def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[RankedWay]]]
     if not summary.results or not summary.ways:
         return []
     groups = group_episodes(summary, summary.posed)
-    found = [(values, rank_ways(summary, frame, summary.ways)) for values, frame in groups]
-    return [one for one in found if len(one[1]) > 1 and not math.isnan(one[1][0].behind.mean)]
+    found = [(values, compare_ways(summary, frame, summary.ways)) for values, frame in groups]
+    return [
+        (values, sorted(ways, key=lambda way: round(way.behind.mean, 9)))
+        for values, ways in found
+        if not math.isnan(ways[0].behind.mean)
+    ]
 
 
 def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
@@ -174,12 +178,12 @@ def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
         The keys of the rows, the keys of the groups of columns, and the keys of the columns within
         a group.
     """
-    groups, across = list[str](), list[str]()
+    across = list[str]()
     for key in sorted(summary.ways, key=lambda key: key != "solver"):
         if len(across) < 2 and prod(len(summary.values(k)) for k in (*across, key)) <= WIDEST:
             across.append(key)
-    if summary.is_table1:
-        groups = [key for key in summary.posed if key not in ("domain", "lambda")]
+    apart = summary.posed if summary.is_table1 else []
+    groups = [key for key in apart if key not in ("domain", "lambda")]
     down = [key for key in summary.shown if key not in across and key not in groups]
     main = main_key(summary, down)
     down.sort(key=lambda key: key == main)
@@ -197,27 +201,19 @@ def table(summary: Summary) -> Table:
     """Makes the table of all combinations of swept values. Keys that the sweep averages over
     (``pool``) are left out.
 
-    Rows are problems. Columns are the costs of the oracle and the clairvoyant, then the ways to
-    solve the problems, with the paper's values in parentheses. If the sweep varies only problems or
-    only ways, each problem or way has a row, and its measures are the columns; the best way is in
-    the first row.
+    Rows are problems. Columns are the costs of the clairvoyant and the oracle, then the measure of
+    each way to solve the problems, with the paper's values in parentheses.
     """
     down, grouping, across = layout(summary)
-    is_wide = bool(across and (down or grouping))
-    rows = list[dict[Any, str]]()
-    for values, frame in group_episodes(summary, down):
-        if is_wide:
-            heads = {("", head): text for head, text in headings(values).items()}
-            rows.append(heads | _make_row(summary, frame, grouping, across))
-        else:
-            ways = rank_ways(summary, frame, across) if across else [RankedWay({}, frame, UNKNOWN)]
-            rows += [
-                headings({**values, **way.values}) | _list_measures(summary, way) for way in ways
-            ]
+    rows = [
+        {("", head): text for head, text in headings(values).items()}
+        | _make_row(summary, frame, grouping, across or ["solver"])
+        for values, frame in group_episodes(summary, down or ["domain"])
+    ]
     caption = _make_caption(summary, bool(across))
-    caption += " In parentheses the paper's values." * (is_wide and is_beside_paper(summary))
-    about = f"{summary.measure.title}: " * bool(across) + _list_common(summary)
-    return table_of(rows, len(down or across), caption, about)
+    return table_of(
+        rows, len(down) or 1, caption, f"{summary.measure.title}: {_list_common(summary)}"
+    )
 
 
 def _make_row(
@@ -226,37 +222,22 @@ def _make_row(
     """Makes the cells of a problem: in each group of columns, the costs of the references and the
     measure of each way."""
     row, measure, split = dict[tuple[str, str], str](), summary.measure.name, bool(grouping)
-    at = str(frame["domain"].iloc[0]), float(frame["lambda"].iloc[0])
-    published = paper.table1().get(at, {}) if is_beside_paper(summary) else {}
-    shown = {name: f"({value:.2f})" for name, value in published.items()}
-    for group, _ in group_episodes(summary, grouping):
-        title, own = paper.group_title(group, label(group)), select_rows(frame, group)
-        ways = {one.name: one for one in rank_ways(summary, own, across)}
-        for name in _list_references(summary):
-            found = estimate(summary, pd.concat(one.episodes for one in ways.values()), name)
+    names = ["clairvoyant", *(["oracle"] if measure == "regret" else [])]
+    references = [name for name in names if summary.episodes[name].notna().any()]
+    published = {name: f"({value:.2f})" for name, value in find_published(summary, frame).items()}
+    for group, own in group_episodes(summary, grouping, frame):
+        title, ways = paper.group_title(group, label(group)), compare_ways(summary, own, across)
+        for name in references:
+            found = estimate(summary, pd.concat(way.episodes for way in ways), name)
             mark = NO_REFERENCE if name == "oracle" and is_unreliable(own) else ""
             place = "" if name == "clairvoyant" else title, TITLES[name]
-            row[place] = cell(found, f"{mark} {shown.get(name, '')}", "", split)
-        for values, _ in group_episodes(summary, across):
-            if (one := ways.get(label(values))) is not None:
-                after = f"{one.mark} {shown.get(str(values.get('solver')), '')}"
-                cost = f"cost {number(one.episodes['cost'].mean())}"
-                below = "" if grouping or measure == "cost" else cost
-                row[title, one.name] = cell(
-                    estimate(summary, one.episodes, measure), after, below, split
-                )
-    return row
-
-
-def _list_measures(summary: Summary, way: RankedWay) -> dict[str, str]:
-    """Makes the cells of a problem, or of a way to solve the only problem: all measures."""
-    row, compared = dict[str, str](), summary.measure.name
-    questions = ["questions"] if summary.episodes["questions"].any() else []
-    measures = [compared, "cost", *_list_references(summary), "messages", "inexplicable_labels"]
-    for name in dict.fromkeys([*measures, *questions]):
-        is_wrong = name in ("regret", "oracle") and is_unreliable(way.episodes)
-        marks = NO_REFERENCE * is_wrong, way.mark * (name == compared)
-        row[TITLES[name]] = cell(estimate(summary, way.episodes, name), " ".join(marks))
+            row[place] = cell(found, f"{mark} {published.get(name, '')}", "", split)
+        for way in ways:
+            after = f"{way.mark} {published.get(str(way.values.get('solver')), '')}"
+            cost = f"cost {number(way.episodes['cost'].mean())}"
+            below = "" if grouping or measure == "cost" else cost
+            found = estimate(summary, way.episodes, measure)
+            row[title, way.name] = cell(found, after, below, split)
     return row
 
 
@@ -286,11 +267,12 @@ def is_beside_paper(summary: Summary) -> bool:
     return summary.is_table1 and summary.measure.name == "regret"
 
 
-def _list_references(summary: Summary) -> list[str]:
-    """Lists the columns of the clairvoyant and, if regrets are shown, of the oracle. The
-    clairvoyant is first because it costs least."""
-    names = ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
-    return [name for name in names if summary.episodes[name].notna().any()]
+def find_published(summary: Summary, frame: pd.DataFrame) -> dict[str, float]:
+    """Returns the paper's values for the problem of these episodes: the oracle's cost, and the
+    regret of each solver. Empty if the paper's values are not shown."""
+    if not is_beside_paper(summary):
+        return {}
+    return paper.table1().get((frame["domain"].iloc[0], frame["lambda"].iloc[0]), {})
 
 
 def heading(key: str) -> str:
@@ -359,6 +341,7 @@ def _make_caption(summary: Summary, is_marked: bool) -> str:
         "Ways are compared on traces and users that all of them have.": (
             summary.missing and is_marked
         ),
+        "In parentheses the paper's values.": is_beside_paper(summary),
     }
     return " ".join(text for text, is_true in said.items() if text and is_true)
 
@@ -434,12 +417,12 @@ def regret_csv(summary: Summary) -> str:
     the mean, the low and high end of the 95 % interval, and n, the number of seeds (with one seed:
     traces).
     """
-    asks = summary.episodes["questions"].any()
-    names, rows = [name for name in TITLES if name != "questions" or asks], []
+    unused = [] if summary.episodes["questions"].any() else ["questions"]
+    rows = []
     keys = dict.fromkeys(["solver", "lambda", *summary.keys])
     for values, frame in group_episodes(summary, [*keys]):
         row: dict[str, object] = {key: plain_text(value) for key, value in values.items()}
-        for name in names:
+        for name in (name for name in TITLES if name not in unused):
             count = frame.dropna(subset=[name])[summary.replicate].nunique()
             ends = vars(estimate(summary, frame, name)) | {"n": count}
             row |= {f"{name}_{end}": value for end, value in ends.items()}
@@ -477,6 +460,4 @@ def _name_way(way: Mapping[str, Value]) -> str:
 
 def _format_csv(frame: pd.DataFrame) -> str:
     """Formats numbers with six decimals, never a negative zero; NaN becomes empty."""
-    numbers = frame.select_dtypes("float").round(6) + 0.0
-    plain = frame.assign(**{str(name): numbers[name] for name in numbers})
-    return str(plain.to_csv(index=False, float_format="%.6f", lineterminator="\n"))
+    return frame.to_csv(index=False, float_format="{:z.6f}".format, lineterminator="\n")

@@ -176,8 +176,11 @@ class Summary:
     @property
     def failures(self) -> list[tuple[str, str]]:
         """(job, error) of the failed jobs."""
-        failed = [job for job in self.jobs if self.folder.state(job) == "failed"]
-        return [(job.label, self.folder.error(job)) for job in failed]
+        return [
+            (job.label, self.folder.error(job))
+            for job in self.jobs
+            if self.folder.state(job) == "failed"
+        ]
 
     @cached_property
     def swept(self) -> pd.DataFrame:

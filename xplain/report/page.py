@@ -3,9 +3,7 @@
 import base64
 import hashlib
 import json
-import math
 import shlex
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +28,7 @@ from xplain.report.table import Table, count_things, number
 from xplain.storage import write_text
 
 REPORT = "report"
+TEMPLATE = Path(__file__).with_name("page.html")
 FILES = ("table.md", "table.tex", "regret.csv", "differences.csv", "index.html")
 """Files that every report has."""
 
@@ -59,16 +58,19 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
     report = folder / REPORT
     report.mkdir(exist_ok=True)
     made_of = digest_content(summary)
-    last = report / "index.html"
-    is_there = all((report / name).exists() for name in FILES)
-    is_there = is_there and made_of in last.read_text(encoding="utf-8")
+    is_there = all((report / name).exists() for name in FILES) and (
+        made_of in (report / "index.html").read_text(encoding="utf-8")
+    )
     if summary.results and not is_there:
-        tables = {name: make(summary) for name, make in TABLES.items()}
-        tables = {name: own for name, own in tables.items() if len(own.frame)}
-        texts = {f"{name}.md": own.markdown() for name, own in tables.items()}
-        texts |= {"table.tex": tables["table"].latex(), "regret.csv": regret_csv(summary)}
-        texts["differences.csv"] = differences_csv(summary)
-        texts["index.html"] = page(summary, tables, report, made_of)  # last: the report is complete
+        made = {name: make(summary) for name, make in TABLES.items()}
+        tables = {name: own for name, own in made.items() if len(own.frame)}
+        texts = {
+            **{f"{name}.md": own.markdown() for name, own in tables.items()},
+            "table.tex": tables["table"].latex(),
+            "regret.csv": regret_csv(summary),
+            "differences.csv": differences_csv(summary),
+            "index.html": page(summary, tables, report, made_of),  # last: the report is complete
+        }
         for name, text in texts.items():
             write_text(report / name, text)
     return summary, report
@@ -77,9 +79,9 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
 def digest_content(summary: Summary) -> str:
     """Computes a digest of all that decides a report: the sweep with its results and failures, the
     measure, this package, and the libraries that calculate and draw."""
-    template = Path(__file__).with_name("page.html")  # code_version covers only modules
     results = [summary.folder.address(job) / RESULTS for job, _ in summary.results]
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in (template, *results)))
+    # code_version covers only modules.
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in (TEMPLATE, *results)))
     versions = [code_version(), library_versions(), matplotlib.__version__]
     words = [summary.about, summary.measure.name, summary.failures] if summary.results else []
     digest.update(json.dumps([versions, *words], sort_keys=True).encode())
@@ -96,18 +98,13 @@ def page(summary: Summary, tables: dict[str, Table], report: Path, made_of: str)
     """
     from jinja2 import Environment, StrictUndefined
 
-    source = files("xplain.report").joinpath("page.html").read_text(encoding="utf-8")
-    about, git = summary.about, summary.about["git"]
-    commit = git.get("commit", "")[:12] or "no commit"
-    dirty = " with changes" if git.get("dirty") == "true" else ""
-    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(source)
-    return template.render(
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         summary=summary,
         made_of=made_of,
         beside_paper=is_beside_paper(summary),
-        heading=_make_heading(summary),
+        swept=[heading(key).lower() for key in summary.shown],
         answer=claims.answer(summary),
-        code=f"{about['code']} (commit {commit}{dirty})",
         size=f"{len(summary.results)} of {len(summary.jobs)} jobs, {len(summary.episodes):,} "
         f"episodes, {count_things(summary.seeds, 'seed')}",
         tables=tables,
@@ -120,8 +117,11 @@ def draw(summary: Summary, report: Path) -> dict[str, dict[str, str]]:
     """Draws every plot into the folder. Returns ``{name: {"caption", "address"}}``, where the
     address is a ``data:`` address with the whole picture."""
     key = heading(plots.plot_keys(summary)[0] or "")
-    measures = {"regret": summary.measure.name, "messages": "messages"}
-    measures["inexplicable"] = "inexplicable_labels"
+    measures = {
+        "regret": summary.measure.name,
+        "messages": "messages",
+        "inexplicable": "inexplicable_labels",
+    }
     drawn = {
         name: (f"{TITLES[own].capitalize()} against {key}", plots.against_main_key(summary, own))
         for name, own in measures.items()
@@ -164,21 +164,17 @@ def save_picture(figure: Figure, path: Path) -> str:
 def learning_table(summary: Summary) -> Table:
     """Makes a table of how well types and labels were learned. Each combination of the swept
     values that decide the data has a row."""
-    found = summary.data_sets
-    names = [name for name in LEARNING if name in found and found[name].notna().any()]
 
     def cells(own: pd.DataFrame) -> dict[str, str]:
-        means = {name: own[name].mean() for name in names}
-        shown = {
-            name: f"{m:.1%}" if name.endswith("accuracy") else number(m)
-            for name, m in means.items()
-        }
+        means = own.reindex(columns=[*LEARNING]).mean().dropna()
         return {
-            LEARNING[name]: "" if math.isnan(means[name]) else text for name, text in shown.items()
+            title: f"{means[name]:.1%}" if name.endswith("accuracy") else number(means[name])
+            for name, title in LEARNING.items()
+            if name in means
         }
 
     caption = "Means over seeds. Labelers are scored on labels that were held out."
-    return tabulate(summary, summary.settings, found, cells, caption)
+    return tabulate(summary, summary.settings, summary.data_sets, cells, caption)
 
 
 TABLES = {
@@ -190,10 +186,3 @@ TABLES = {
     "decomposition": claims.decomposition,
 }
 """The tables of a report, by the names of their files. An empty table has no file."""
-
-
-def _make_heading(summary: Summary) -> str:
-    if summary.is_table1:
-        return "Personalized explanations: costs and regrets"
-    swept = [heading(key).lower() for key in summary.shown]
-    return " by ".join(filter(None, [summary.measure.title, ", ".join(swept)]))

@@ -1,11 +1,12 @@
 """The values in the paper's Table 1 (where they are truncated to two decimals), and readable
 names."""
 
-import csv
 from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 NAMES = {
     "qmdp": "QMDP",
@@ -49,13 +50,8 @@ def group_title(group: Mapping[str, Any], label: str) -> str:
 
 
 @cache
-def table1() -> dict[tuple[str, float], dict[str, float]]:
+def table1() -> dict[Any, dict[str, float]]:
     """Reads Table 1 as ``{(domain, λ): {"oracle": cost, solver: regret, …}}``."""
-    text = files("xplain.report").joinpath("table1.csv").read_text(encoding="utf-8")
-    rows = csv.DictReader(text.splitlines())
-    return {
-        (row["domain"], float(row["lambda"])): {
-            name: float(value) for name, value in row.items() if name not in ("domain", "lambda")
-        }
-        for row in rows
-    }
+    path = Path(__file__).with_name("table1.csv")
+    found: Any = pd.read_csv(path, index_col=["domain", "lambda"]).to_dict("index")
+    return {problem: dict(values) for problem, values in found.items()}

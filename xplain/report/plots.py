@@ -21,9 +21,9 @@ from xplain.learning.prediction import CalibrationBin
 from xplain.learning.types import Clustering
 from xplain.report.compare import (
     estimate,
+    find_published,
     group_episodes,
     heading,
-    is_beside_paper,
     label,
     layout,
     main_key,
@@ -31,7 +31,7 @@ from xplain.report.compare import (
     value_title,
 )
 from xplain.report.frame import TITLES, Summary, Value
-from xplain.report.paper import group_title, table1
+from xplain.report.paper import group_title
 from xplain.storage import open_atomic
 
 # Okabe and Ito's palette, with grey instead of yellow.
@@ -58,8 +58,6 @@ AXES = {
 """Labels of axes by key; the label of any other key is the key itself."""
 
 MOST_PANELS = 24
-
-CLUSTERS, DISAGREEMENTS = "number of clusters k", "disagreements (pairs of labels)"
 
 STYLE: dict[Any, Any] = {
     "figure.dpi": 150,
@@ -104,19 +102,19 @@ def draw(
     panels, lines, ticks = ([*dict.fromkeys(points[key])] for key in ("panel", "line", "x"))
     is_numeric = not any(isinstance(tick, str) for tick in ticks)
     place = {tick: tick if is_numeric else i for i, tick in enumerate(ticks)}
-    apart = 0.12 * min(np.diff(sorted(place.values())), default=1.0)
-    if is_numeric and len(ticks) > 1:  # a point stays at its tick
-        apart = min(apart, 0.03 * np.ptp(ticks))
+    at = sorted(place.values())  # a point stays at its tick
+    apart = min(0.12 * min(np.diff(at), default=0.0), 0.03 * np.ptp(at))
     apart *= points["low"].notna().any()
     columns = min(per_row, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
     every = figure.subplots(rows, columns, squeeze=False, sharey="row").ravel()
-    is_negative = points["low"].min() < 0 or points["mean"].min() < 0
-    is_long = sum(len(str(tick)) for tick in ticks) > 32
-    slope: dict[str, Any] = {"rotation": 30, "ha": "right"} if is_long else {}
+    texts = [tick if isinstance(tick, str) else f"{tick:g}" for tick in ticks]
+    slope: dict[str, Any] = {"rotation": 30, "ha": "right"} if len("".join(texts)) > 32 else {}
     hole: dict[str, Any] = {"mfc": "white", "ls": "none", "ms": 8}
     for number, (axes, panel) in enumerate(zip(every, panels, strict=False)):
+        # The axis begins at 0, or below 0 if a value is below 0.
+        axes.axhline(0, color="#222222", lw=0.8).sticky_edges.y.append(0)
         for index, line in enumerate(lines):
             own = points[(points["panel"] == panel) & (points["line"] == line)]
             at = own["x"].map(place).to_numpy(float) + apart * (index - (len(lines) - 1) / 2)
@@ -128,17 +126,10 @@ def draw(
             axes.plot(at, own["hollow"], zorder=1, **look)
         axes.set(xlabel=x_label, ylabel="" if number % columns else y_label)
         axes.set_title(panel, loc="left", weight="bold", fontsize=10)
-        if not is_numeric:
-            axes.set_xticks(range(len(ticks)), ticks, **slope)
-        elif len(ticks) <= 8:  # only the values of the runs
-            axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        if len(ticks) <= 8 or not is_numeric:  # only the values of the runs
+            axes.set_xticks([*place.values()], texts, **slope)
         else:
             axes.xaxis.set_major_locator(MaxNLocator(6, integer=all(t == int(t) for t in ticks)))
-        if is_negative:
-            axes.axhline(0, color="#222222", lw=0.8)
-    if not is_negative:  # after all lines, because a limit ends the scaling of a row
-        for axes in every[::columns]:
-            axes.set_ylim(0, 1.04 * axes.get_ylim()[1])
     for axes in every[len(panels) :]:
         axes.set_visible(False)
     handles, labels = every[0].get_legend_handles_labels()
@@ -195,11 +186,10 @@ def against_main_key(summary: Summary, measure: str) -> Figure | None:
     for panel, frame in _list_panels(summary, panels):
         for values, own in group_episodes(summary, [*lines, x], frame):
             at, line = values[x], {key: values[key] for key in lines}
-            problem = str(own["domain"].iloc[0]), float(own["lambda"].iloc[0])
-            known = table1().get(problem, {}) if is_beside_paper(summary) else {}
-            paper = known.get(str(line.get("solver"))) if measure == "regret" else None
+            published = find_published(summary, own) if measure == "regret" else {}
             tick = at if isinstance(at, float) else value_title(x, at)
-            names = {"panel": panel, "line": label(line), "x": tick, "hollow": paper}
+            names: dict[str, Any] = {"panel": panel, "line": label(line), "x": tick}
+            names["hollow"] = published.get(str(line.get("solver")))
             rows.append(names | vars(estimate(summary, own, measure)))
     points = pd.DataFrame(rows).astype({"hollow": float}).dropna(subset=["mean"])
     return draw(points, AXES.get(x, heading(x)), TITLES[measure], _count_per_row(summary, panels))
@@ -217,33 +207,37 @@ def belief_over_steps(summary: Summary) -> Figure | None:
         fixed = {x: 1.0 if x == "lambda" and 1.0 in values else values[len(values) // 2]}
     steps, rows = select_rows(summary.steps, fixed), []
     steps = steps[steps["solver"] != "baseline"]  # it has no belief
+    if steps.empty:
+        return None
     for panel, frame in _list_panels(summary, panels, steps):
         for line, own in group_episodes(summary, lines, frame):
-            for step, at in own.groupby("step"):
-                mean = np.average(at["belief"], weights=at["episodes"])
-                rows.append({"panel": panel, "line": label(line), "x": step, "mean": mean})
-    if not rows:
-        return None
+            weighed = own.assign(belief=own["belief"] * own["episodes"]).groupby("step")
+            sums = weighed[["belief", "episodes"]].sum()
+            names = {"panel": panel, "line": label(line), "x": sums.index}
+            rows.append(pd.DataFrame(names | {"mean": sums["belief"] / sums["episodes"]}))
     words = ", ".join(filter(None, ["belief in the true type", label(fixed)]))
-    return draw(pd.DataFrame(rows), "steps explained", words, _count_per_row(summary, panels))
+    return draw(pd.concat(rows), "steps explained", words, _count_per_row(summary, panels))
 
 
 def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
-    """Draws disagreements against the number of clusters, with the chosen number."""
-    points = pd.DataFrame({"panel": "", "line": "", "x": range(1, len(curve) + 1), "mean": curve})
-    chosen = points["mean"].where(points["x"] == min(found, len(curve)))
-    words = f"chosen: {found} ({rule})"
-    return draw(points.assign(hollow=chosen), CLUSTERS, DISAGREEMENTS, hollow=words)
+    """Draws disagreements against the number of types, with the chosen number."""
+    points, words = dict(enumerate(curve, 1)), f"chosen: {found} ({rule})"
+    return _draw_choice(points, min(found, len(points)), "disagreements (pairs of labels)", words)
 
 
 def posterior(probability: Mapping[int, float], found: int) -> Figure:
     """Draws P(number of types | labels), with the chosen number."""
-    numbers = range(1, max(*probability, found) + 2)
-    mean = pd.Series(probability).reindex(numbers, fill_value=0.0)
-    points = pd.DataFrame({"panel": "", "line": "", "x": numbers, "mean": mean})
-    taken = mean.where(points["x"] == found)
-    words = "number of user types", "posterior probability"
-    return draw(points.assign(hollow=taken), *words, hollow=f"taken: {found}")
+    points = {k: probability.get(k, 0.0) for k in range(1, max(*probability, found) + 2)}
+    return _draw_choice(points, found, "posterior probability", f"taken: {found}")
+
+
+def _draw_choice(curve: Mapping[int, float], chosen: int, y_label: str, words: str) -> Figure:
+    """Draws a curve over the number of types, with a mark at the chosen number."""
+    rows = [
+        {"panel": "", "line": "", "x": k, "mean": y, "hollow": y if k == chosen else None}
+        for k, y in curve.items()
+    ]
+    return draw(pd.DataFrame(rows), "number of user types", y_label, hollow=words)
 
 
 def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> Figure:

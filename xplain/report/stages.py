@@ -77,10 +77,11 @@ class Stages(Progress):
                 timer.start()
                 stack.callback(timer.cancel)
             else:
-                known = [
-                    h for h in logging.getLogger().handlers if isinstance(h, logging.StreamHandler)
+                handlers = [
+                    handler
+                    for handler in logging.getLogger().handlers
+                    if isinstance(handler, logging.StreamHandler) and handler.stream is sys.stderr
                 ]
-                handlers = [handler for handler in known if handler.stream is sys.stderr]
                 stack.enter_context(self._line)  # rich replaces sys.stderr from here on
                 for handler in handlers:
                     stack.callback(handler.setStream, handler.setStream(sys.stderr))

@@ -56,30 +56,48 @@ def print_summary(results: Results) -> None:
     as_paper = results.choices["explainee"] == "exact" and not _describe_questions(results)
     setting = results.choices["domain"], results.trade_off
     published = table1().get(setting, {}) if as_paper else {}
-    paper = {"oracle_cost": published.get("oracle")}
-    if results.solver != "oracle":
-        paper["regret"] = published.get(results.solver)
+    places = {results.solver: "regret", "oracle": "oracle_cost"}
+    paper = {places[key]: f"{value:.2f}" for key, value in published.items() if key in places}
     known, rows = results.metrics, []
     is_marked = results.learning.get("fresh_accuracy", 1.0) < RIGHT
     for name in (name for name in TITLES if name in known):
         mark = f" {NO_REFERENCE}" if is_marked and name in ("oracle_cost", "regret") else ""
         row = {"measure": TITLES[name] + mark, "mean": f"{known[name].mean:.3f}"}
         row["95 % interval"] = _format_interval(known[name])
-        value = paper.get(name)
-        rows.append(row | ({"paper": "" if value is None else f"{value:.2f}"} if published else {}))
+        rows.append(row | ({"paper": paper.get(name, "")} if paper else {}))
     console.print(table_of(rows, 1).text())
-    if said := _compare_for_no_type(results):
-        console.print(said)
-    if "regret" in known and (
-        warning := warning_about_oracle(results.learning, known["regret"].mean)
-    ):
-        console.print(warning)
+    below = (
+        warning_about_oracle(results.learning, known["regret"].mean) if "regret" in known else ""
+    )
+    for text in filter(None, [_compare_for_no_type(results), below]):
+        console.print(text)
 
 
 def print_certificates(bounds: Mapping[str, float]) -> None:
-    """Prints the certified figures on standard output; nothing if none were requested."""
-    for line in _list_bounds(bounds):
-        _make_console().print(line)
+    """Prints the certificates on standard output: the bounds of the optimal value, and the value
+    and the cost of the policy under the learned model. Prints nothing without certificates."""
+    if not bounds:
+        return
+    traces = count_things(int(bounds["traces"]), "trace")
+    lines = [
+        f"certificates, {traces}, discounted returns under the learned model:",
+        f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "
+        "expected value of perfect information "
+        f"{_format_range(bounds, 'value_of_perfect_information')}",
+    ]
+    if bounds.get("fresh_labels") == 0:
+        lines.append(
+            "  the bounds assume labels that are drawn again at each step; this belief does not, "
+            "so this policy has no certificate"
+        )
+    if "policy_value" in bounds:
+        lines += [
+            f"  this policy {bounds['policy_value']:.4f} ({_describe_precision(bounds)}), "
+            f"suboptimality {_format_range(bounds, 'price_of_approximation')}",
+            f"expected cost of this policy under the learned model, undiscounted, {traces}: "
+            f"{bounds['policy_cost']:.3f}",
+        ]
+    _make_console().print("\n".join(lines))
 
 
 def _make_console(width: int = WIDTH, **look: bool) -> Console:
@@ -91,8 +109,9 @@ def _compare_for_no_type(results: Results) -> str:
     """Returns a sentence about the users whom no found type fits. It compares the mean costs for
     these users of the solver, of giving all messages, and of one explanation for all types.
     Returns "" if the belief has only the found types."""
-    frame = pd.DataFrame(map(vars, results.episodes))
-    wide = frame.pivot(index=["trace", "type"], columns="solver", values=["cost", "fit"])
+    wide = pd.DataFrame(map(vars, results.episodes)).pivot(
+        index=["trace", "type"], columns="solver", values=["cost", "fit"]
+    )
     if "say_all" not in wide["cost"]:
         return ""
     users = wide["cost"][wide["fit"]["solver"] < NO_FIT]
@@ -142,36 +161,7 @@ def _make_headline(results: Results) -> str:
 
 
 def _format_interval(figure: Figure) -> str:
-    if figure.low is None:
-        return "one trace"
-    return f"{figure.low:.3f} … {figure.high:.3f}"
-
-
-def _list_bounds(bounds: Mapping[str, float]) -> list[str]:
-    """Returns the lines about certificates: the bounds of the optimal value, and the value and
-    the cost of the policy under the learned model. Empty without certificates."""
-    if not bounds:
-        return []
-    traces = count_things(int(bounds["traces"]), "trace")
-    lines = [
-        f"certificates, {traces}, discounted returns under the learned model:",
-        f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "
-        "expected value of perfect information "
-        f"{_format_range(bounds, 'value_of_perfect_information')}",
-    ]
-    if bounds.get("fresh_labels") == 0:
-        lines.append(
-            "  the bounds assume labels that are drawn again at each step; this belief does not, "
-            "so this policy has no certificate"
-        )
-    if "policy_value" in bounds:
-        lines += [
-            f"  this policy {bounds['policy_value']:.4f} ({_describe_precision(bounds)}), "
-            f"suboptimality {_format_range(bounds, 'price_of_approximation')}",
-            f"expected cost of this policy under the learned model, undiscounted, {traces}: "
-            f"{bounds['policy_cost']:.3f}",
-        ]
-    return lines
+    return "one trace" if figure.low is None else f"{figure.low:.3f} … {figure.high:.3f}"
 
 
 def _describe_precision(bounds: Mapping[str, float]) -> str:

@@ -125,11 +125,11 @@ def list_said(story: Story, sentences: Mapping[str, str]) -> str:
     """Returns a text with a line for each of the robot's messages and questions, with its step."""
     found = []
     for k, step in enumerate(story["steps"], 1):
-        for one in step.get("questions", ()):
-            what = one["about"] or one["text"]
-            found.append(f"before step {k} it asks: “{what}” – {one['reply']}")
-        new = step["messages"]
-        found += [f"before step {k}: “{sentences.get(name, name)}” ({name})" for name in new]
+        found += [
+            f"before step {k} it asks: “{one['about'] or one['text']}” – {one['reply']}"
+            for one in step.get("questions", ())
+        ]
+        found += [f"before step {k}: “{sentences.get(n, n)}” ({n})" for n in step["messages"]]
     found = ["The robot says:", *found] if found else ["The robot says nothing."]
     return "\n".join(textwrap.fill(one, LETTERS, subsequent_indent="    ") for one in found)
 
