@@ -1,5 +1,7 @@
 """Users of types without observers think according to the task that they believe in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,14 @@ from tests.configurations import composed, world
 from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import with_others
+from xplain.explanation.anybody import Open
 from xplain.explanation.belief import Independent
+from xplain.explanation.habits import WAYS
 from xplain.interaction.explainees import (
     AllWrong,
     Backlash,
     Between,
+    Exact,
     Expert,
     Explainee,
     Misreads,
@@ -76,3 +81,16 @@ def test_nobody_costs_less_than_their_own_clairvoyant(explainee: Explainee) -> N
     paid = {(one.solver, one.trace, one.user_type): one.episode.cost for one in records}
     for (solver, trace, user), own in paid.items():
         assert own >= paid["clairvoyant", trace, user] - 1e-9, solver
+
+
+def test_observers_as_assumed_change_neither_the_shares_of_ways_nor_the_costs() -> None:
+    """Observers give twenty labels each, and one in twenty is wrong."""
+    found = ("labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05")
+    prepared, costs = world("domain=four_rooms", "traces=4", *found)
+    learned, means = prepared.habits, []
+    assert learned.ways == pytest.approx(WAYS, abs=0.02)
+    for ways in (WAYS, learned.ways):
+        own = replace(prepared, habits=replace(learned, ways=ways))
+        records = evaluate(own, costs, {"": QMDP()}, Open(), Exact(), 0)
+        means.append(np.mean([record.episode.cost for record in records]))
+    assert means[1] == pytest.approx(means[0], rel=0.05)

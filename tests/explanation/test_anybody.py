@@ -17,7 +17,7 @@ from xplain.explanation.actions import VisibleState
 from xplain.explanation.anybody import Open
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import Facts, Independent, update, update_by_answer
-from xplain.explanation.habits import Habits, habits_of
+from xplain.explanation.habits import PAPER, Habits, habits_of
 from xplain.explanation.listening import PRIOR_PEOPLE, ExplanationRecord, learn_habits
 from xplain.explanation.message_sets import indices
 from xplain.solvers.bounds import bounds
@@ -45,7 +45,9 @@ def world(rng: np.random.Generator, n: int = N, steps: int = STEPS, questions: i
     return labels, wrong, problem, Facts(parts[0], wrong, parts[1], 0.2)
 
 
-def enumerated(labels: np.ndarray, wrong: tuple[int, ...], n: int) -> Iterator[Any]:
+def enumerated(
+    labels: np.ndarray, wrong: tuple[int, ...], n: int, ways: np.ndarray
+) -> Iterator[Any]:
     """Lists (share, user type, facts after messages, slip, guess) of everybody, except people whose
     answers are random."""
     every = (1 << n) - 1
@@ -62,26 +64,29 @@ def enumerated(labels: np.ndarray, wrong: tuple[int, ...], n: int) -> Iterator[A
         def rest(told: int, facts: int = facts) -> int:
             return facts & ~told
 
-        yield share * 0.8 * 0.99, t, rest, 0.0, 0.0, True
-        yield share / 15, t, rest, 0.1, 0.1, True
-        yield share / 15, t, rest, 0.0, 0.4, False
+        yield share * ways[0], t, rest, 0.0, 0.0, True
+        yield share * ways[1], t, rest, 0.1, 0.1, True
+        yield share * ways[2], t, rest, 0.0, 0.4, False
         for j in range(n):
             if facts >> j & 1:
 
                 def stuck(told: int, facts: int = facts, j: int = j) -> int:
                     return facts & ~(told if told == every else told & ~(1 << j))
 
-                yield share * 0.8 * 0.01 / facts.bit_count(), t, stuck, 0.0, 0.0, False
+                yield share * ways[4] / facts.bit_count(), t, stuck, 0.0, 0.0, False
 
 
 def test_the_belief_is_that_over_everybody(rng_of_the_day: np.random.Generator) -> None:
+    """The shares of people by their way of answering are the assumed ones, or learned."""
     rng = rng_of_the_day
-    for _ in range(10):
+    assumed = np.array([0.8 * 0.99, 1 / 15, 1 / 15, 1 / 15, 0.8 * 0.01])
+    for known in range(10):
         labels, wrong, problem, facts = world(rng)
-        opened = Open().people(problem, None, facts)
-        people = list(enumerated(labels, wrong, N))
+        ways = rng.dirichlet(np.ones(5)) if known % 2 else assumed
+        opened = Open().people(problem, replace(PAPER, ways=ways) if known % 2 else None, facts)
+        people = list(enumerated(labels, wrong, N, ways))
         weights = np.array([share for share, *_ in people])
-        coin = 1 / 15
+        coin = ways[3]
         belief, told = opened.start, 0
         for step in range(STEPS):
             told |= int(rng.integers(1 << N))
@@ -232,19 +237,6 @@ def test_the_shares_are_the_mode_of_their_posterior(seed: int) -> None:
     shares = np.stack([share, 1 - share])
     log = np.log(likely @ shares).sum(axis=0) + PRIOR_PEOPLE * habits.prior @ np.log(shares)
     assert learn_habits(people, habits).prior[0] == pytest.approx(share[log.argmax()], abs=2e-4)
-
-
-def test_what_was_learned_is_what_a_belief_takes() -> None:
-    rng = np.random.default_rng(5)
-    problem = Problem(rng.random((2, 2, 4)), np.ones(2))
-    answers = [rng.integers(2, size=k + 1).astype(np.uint8) for k in range(2)]
-    found = learn_habits([ExplanationRecord(problem, [1, 2], answers)])
-    taken = Independent("learned", "learned", "learned").habits(found)
-    for key in ("error", "accept", "forget"):
-        shares = [getattr(h, key) @ h.prior for h in (found, taken)]
-        assert shares[0] == pytest.approx(shares[1])
-    only = Independent(0.0, "learned", 0.0).habits(found)
-    assert (len(only), only.take_all_in) == (3, False)
 
 
 def test_answers_to_questions_tell_nothing_of_messages_that_do_not_land() -> None:

@@ -23,6 +23,7 @@ from xplain import (
 )
 from xplain import GivenTypes as Types
 from xplain.explanation.anybody import Open
+from xplain.explanation.habits import WAYS
 from xplain.explanation.listening import learn_habits
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.user_types import learn_types
@@ -66,20 +67,6 @@ def test_why_ranks_the_choice_first_and_keeps_the_reasons_of_the_moment():
     session.observe([1])
     assert session.why() == before
     assert "fuel" in str(before)
-
-
-def test_types_may_be_a_function_of_whatever_a_transition_is():
-    def table(transitions):
-        hard = np.array([move["hard"] for move in transitions])
-        return np.where(hard[None, :, None], [[[0.2, 0.9]]], 0.9)
-
-    explainer = Explainer(GivenTypes(table, ("why",), ("anyone",)), trade_off=0.1)
-    session = explainer.session([{"hard": False}])
-    assert session.messages() == ()
-    session.observe([1])
-    session.extend([{"hard": True}])
-    assert session.messages() == ("why",)
-    assert explainer.from_json(session.to_json()).messages() == ("why",)
 
 
 HALF = np.full((2, 3, 4), 0.5)
@@ -210,9 +197,10 @@ def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
     rates = []
     for people in (missed, took_in):
         found = learn_habits([one.explained for one in people])
-        own = replace(NOVICE, habits=found)
-        belief = Explainer(own, belief_update=weighs).session(range(6)).explained.problem.habits
-        assert belief.accept @ belief.prior == pytest.approx(found.accept @ found.prior)
+        next_ = replace(NOVICE, habits=found)
+        belief = Explainer(next_, belief_update=weighs).session(range(6)).explained.problem.habits
+        for own, taken in ((found.accept, belief.accept), (found.forget, belief.forget)):
+            assert taken @ belief.prior == pytest.approx(own @ found.prior)
         rates.append(found.accept @ found.prior)
     assert rates[0] < 0.75 < 0.9 < rates[1]
     begun = Explainer(NOVICE, belief_update=weighs).session(range(6))
@@ -288,6 +276,7 @@ def test_learned_types_keep_their_facts_in_a_file(tmp_path: Path) -> None:
     learned.save(tmp_path / "types.npz")
     loaded = LearnedTypes.load(tmp_path / "types.npz")
     assert (loaded.wrong, loaded.new) == (learned.wrong, learned.new)
+    assert loaded.habits.ways.tolist() == learned.habits.ways.tolist() != WAYS.tolist()
     for types in (learned, loaded):
         everything = types.everything(features.tolist())
         assert everything is not None

@@ -11,11 +11,13 @@ from scipy.integrate import quad
 from scipy.special import betaln, gammaln
 from sklearn.metrics import adjusted_rand_score
 
-from xplain import Dataset, LabelerTrainer
+from xplain import Dataset, Hypotheses, LabelerTrainer
 from xplain.learning.answers import RATES, AnswerModel, CellAnswers, learn_answers
 from xplain.learning.data.observers import Observations
 from xplain.learning.landing import AcceptanceModel, learn_landing
 from xplain.learning.mixture.classes import SHRINKAGE, answer_classes
+from xplain.learning.mixture.likelihood import Answers, KnownTransitions
+from xplain.learning.mixture.partition import learn_ways
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import predict_held_out
 
@@ -238,6 +240,62 @@ def taught(rng: np.random.Generator, accept: NDArray[np.float64]) -> Dataset:
         message_set=np.where(item < ITEMS, 0, EVERY),
         label=label.ravel().astype(np.uint8),
     )
+
+
+ASSUMED = np.array([0.8 * 0.99, 1 / 15, 1 / 15, 1 / 15, 0.8 * 0.01])
+KNOWN = KnownTransitions.of(
+    Hypotheses.of(
+        TABLE, messages="abc", features=np.arange(ITEMS)[:, None], feature_names=("item",)
+    )
+)
+
+
+def answers_one(way: int, wrong: int, kept: int, asked: NDArray, told: NDArray) -> NDArray:
+    """Computes P(answer 1) of a person with this way of answering, if one answer in twenty is
+    wrong. Somebody of the last way keeps the fact ``kept`` until all messages are given."""
+    f = TABLE[wrong & ~np.where((way == 4) & (told < EVERY), told & ~kept, told), asked]
+    one = (f, np.where(f == 1, 0.9, 0.1), np.where(f == 1, 1, 0.4), 0.5 + 0 * f, f)[way]
+    return np.asarray(0.95 * one + 0.05 * (1 - one))
+
+
+def asks(rng: np.random.Generator, count: int) -> tuple[NDArray, NDArray]:
+    """Draws questions; a fifth of them after all messages."""
+    told = np.where(rng.random(count) < 0.2, EVERY, rng.integers(0, 8, count))
+    return rng.integers(0, ITEMS, count), told
+
+
+def keep_others(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Makes no share but the first smaller than the assumed one."""
+    return np.array([1 - np.maximum(shares, ASSUMED)[1:].sum(), *np.maximum(shares, ASSUMED)[1:]])
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [(3, 3, 3, 3, 3), (15, 0, 0, 0, 0), (0, 15, 0, 0, 0), (0, 0, 10, 0, 5), (7, 0, 0, 8, 0)],
+)
+def test_shares_of_peoples_ways_are_recovered(counts: tuple[int, ...]) -> None:
+    """Half of the result is the assumed shares, however many observers there are."""
+    rng, people = np.random.default_rng(0), []
+    for way in np.arange(5).repeat(counts).repeat(3).tolist():
+        wrong, asked = int(rng.integers(1, 8)), asks(rng, 400)
+        said = rng.random(400) < answers_one(way, wrong, wrong & -wrong, *asked)
+        people.append(Answers(*asked, said.astype(np.int64)))
+    found, expected = learn_ways(KNOWN, people), (np.array(counts) / 15 + ASSUMED) / 2
+    assert found == pytest.approx(keep_others(expected), abs=0.02)
+
+
+def test_shares_of_peoples_ways_are_the_mode_of_their_posterior() -> None:
+    """Facts and ways are enumerated."""
+    rng, likely = np.random.default_rng(1), np.zeros((10, 5))
+    people = [Answers(*asks(rng, 6), rng.integers(0, 2, 6)) for _ in range(10)]
+    for (o, (*asked, said)), way, wrong in product(enumerate(people), range(5), range(8)):
+        for kept in [1 << j for j in range(3) if wrong >> j & 1] if way == 4 else [0]:
+            one = np.abs(1 - said - answers_one(way, wrong, kept, *asked))
+            likely[o, way] += one.prod() / 8 / max(wrong.bit_count() * (way == 4), 1)
+    mode = ASSUMED
+    for _ in range(500):
+        mode = ((likely * mode / (likely @ mode)[:, None]).sum(axis=0) + 15 * ASSUMED) / 25
+    assert learn_ways(KNOWN, people) == pytest.approx(keep_others(mode), abs=1e-5)
 
 
 def learned(dataset: Dataset, table: NDArray[np.float64] | None = TABLE) -> AcceptanceModel:

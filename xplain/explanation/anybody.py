@@ -28,11 +28,6 @@ from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import DENSE, LabelTable, join_steps
 from xplain.explanation.problem import Problem
 
-STUCK = 0.01
-"""Share of people who keep one incorrect belief, among the people with each set of facts."""
-LISTENING, ERRING, POLITE, COIN = 12 / 15, 1 / 15, 1 / 15, 1 / 15
-"""Shares of people who answer what they think, err in both directions, answer 1 for 0, and answer
-at random."""
 ERROR, GUESS = 0.1, 0.4
 """P(the opposite answer) of people who err, and P(answer 1) of polite people who think 0."""
 NUMBERS = 1 << 24
@@ -60,10 +55,7 @@ class _People(NamedTuple):
 
     def take(self, which: NDArray[np.int64]) -> _People:
         """Selects the hidden types with the indices in ``which``."""
-        p, answered, prior, whose, as_found = self
-        return _People(
-            p[..., which], answered[..., which], prior[which], whose[which], as_found[which]
-        )
+        return _People._make(own[..., which] for own in self)
 
 
 @dataclass(frozen=True)
@@ -71,12 +63,18 @@ class Open(Independent):
     """A belief about people who may have no found type, answer otherwise than they think, or miss
     messages.
 
-    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. By default, a share
-    of people errs in both directions, at the rate ERROR. If the attribute ``error`` is not 0, the
-    assumed or learned error rates determine the share and the rate instead.
+    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. The shares of people
+    by their way of answering are the assumed ones (WAYS), or learned from observers' answers. By
+    default, people who err in both directions do so at the rate ERROR. If the attribute ``error``
+    is not 0, the assumed or learned error rates determine their share and the rate instead.
     """
 
     open: ClassVar[bool] = True
+
+    def habits(self, learned: Habits | None = None) -> Habits:
+        """Returns the habits with the assumed rates, and with the learned ways of answering."""
+        own = super().habits(learned)
+        return own if learned is None else replace(own, ways=learned.ways)
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
         """Returns a problem with more hidden types: people with other beliefs or other habits of
@@ -92,16 +90,23 @@ class Open(Independent):
         habits = self.habits(learned)
         if problem.n_messages > DENSE:
             return problem.with_habits(habits)
-        rates = habits.shares("error")
-        erring, error = ERRING / (ERRING + LISTENING), ERROR
+        rates, ways, error = habits.shares("error"), habits.ways, ERROR
         if (share := 1 - rates.pop(0.0, 0.0)) > 0:
-            erring, error = share, sum(rate * own for rate, own in rates.items()) / share
-        opened = with_anybody(problem, facts, erring, error, habits.take_all_in)
+            error = sum(rate * own for rate, own in rates.items()) / share
+            exact, erring, polite, random, stuck = ways
+            whole = exact + erring + stuck
+            never = (1 - share) * whole / (exact + stuck)
+            ways = np.array([exact * never, share * whole, polite, random, stuck * never])
+        opened = with_anybody(problem, facts, ways, error, habits.take_all_in)
         return opened.with_habits(habits_of(0.0, habits.shares("accept"), habits.shares("forget")))
 
 
 def with_anybody(
-    problem: Problem, facts: Facts | None, erring: float, error: float, messages_land: bool
+    problem: Problem,
+    facts: Facts | None,
+    ways: NDArray[np.float64],
+    error: float,
+    messages_land: bool,
 ) -> Problem:
     """Returns a problem with more hidden types: people with other beliefs or other habits of
     answering. One further user type represents all people who have none of the found types.
@@ -109,8 +114,7 @@ def with_anybody(
     Args:
         problem: a problem of M user types, with at most DENSE messages.
         facts: the facts that people may believe incorrectly; None if unknown.
-        erring: number of people who err in both directions, divided by the number of people who err
-            in both directions or never.
+        ways: [5] shares of people by their way of answering, as in WAYS.
         error: P(the opposite answer) of people who err in both directions.
         messages_land: True if the assumed habits are that a message always corrects its fact, and
             that the fact is never forgotten. Then people who keep one incorrect belief are added.
@@ -132,18 +136,19 @@ def with_anybody(
         alike = (sizes[:, None] == sizes).sum(axis=1)
         share = np.append(share, facts.new / len(np.unique(sizes)) / alike)
         wrong, whose = (*wrong, *others), np.append(whose, np.full(len(others), count))
-    stuck = STUCK if messages_land else 0.0
-    exact, erring = (own * (LISTENING + ERRING) for own in (1 - erring, erring))
-    plain = _People(table, table, share * exact * (1 - stuck), whose, whose < count)
+    exact, erring, polite, random, stuck = ways
+    plain = _People(table, table, share * exact, whose, whose < count)
     parts_ = [
         plain,
         plain._replace(answered=table * (1 - error) + (1 - table) * error, prior=share * erring),
-        _mark_not_assumed(
-            plain._replace(answered=table + (1 - table) * GUESS, prior=share * POLITE)
+        plain._replace(
+            answered=table + (1 - table) * GUESS,
+            prior=share * polite,
+            as_found=np.zeros_like(plain.as_found),
         ),
     ]
-    if stuck and any(wrong):
-        parts_ += [_make_stuck(plain, share * exact * stuck, wrong, every)]
+    if messages_land and any(wrong):
+        parts_ += [_make_stuck(plain, share * stuck, wrong, every)]
     people = _concatenate(parts_)
     most = max(NUMBERS // table[..., 0].size, count)
     people = people.take(np.sort(np.argsort(-people.prior, kind="stable")[:most]))
@@ -151,7 +156,7 @@ def with_anybody(
     coin = (people.p @ weight)[..., None].clip(0, 1)
     half = np.full_like(coin, 0.5)
     one, no = np.full(1, count), np.zeros(1, np.bool_)
-    people = _concatenate([people, _People(coin, half, np.full(1, COIN), one, no)])
+    people = _concatenate([people, _People(coin, half, np.full(1, random), one, no)])
     relevant = np.tile(np.arange(n), (len(people.prior), 1))
     whole = LabelTable(relevant, people.p, people.answered)
     steps = range(problem.n_steps)
@@ -181,19 +186,7 @@ def _other_sets(found: tuple[int, ...], n: int) -> list[int]:
 
 def _concatenate(parts: list[_People]) -> _People:
     """Joins lists of hidden types into one list."""
-    p, answered, prior, whose, as_found = zip(*parts, strict=True)
-    return _People(
-        np.concatenate(p, axis=-1),
-        np.concatenate(answered, axis=-1),
-        np.concatenate(prior),
-        np.concatenate(whose),
-        np.concatenate(as_found),
-    )
-
-
-def _mark_not_assumed(people: _People) -> _People:
-    """Returns the same hidden types with ``as_found`` False."""
-    return people._replace(as_found=np.zeros_like(people.as_found))
+    return _People._make(np.concatenate(own, axis=-1) for own in zip(*parts, strict=True))
 
 
 def _make_stuck(

@@ -8,7 +8,7 @@ Costs depend on what a user thinks; beliefs depend on what the user answers.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import Literal
@@ -23,8 +23,11 @@ Assumed = float | Mapping[float, float] | Literal["learned"]
 from people's answers, or a documented grid if these give no information."""
 MOST = 45
 """Maximum number of habits on a grid; tables and beliefs grow in proportion to this number."""
-
-
+WAYS = np.array([12 * 0.99, 1, 1, 1, 12 * 0.01]) / 15
+"""Assumed shares of people by their way of answering, for the belief about people nobody assumed
+(:mod:`xplain.explanation.anybody`). People answer what they think; err in both directions; answer 1
+although they think 0; answer at random; or answer what they think, but keep one incorrect belief
+until all messages are given."""
 RANGES = {"error": Range(0, 0.5, "[)"), "accept": Range(0, 1, "(]"), "forget": Range(0, 1, "[)")}
 """Possible rates. An error rate above ½ would mean that a user's answers are the opposite."""
 
@@ -38,26 +41,33 @@ class Habits:
         accept: [F] α of each habit, in (0, 1].
         forget: [F] φ of each habit, in [0, 1).
         prior: [F] probability of each habit; sums to 1.
+        ways: [5] shares of people by their way of answering, as in WAYS. Only the belief about
+            people nobody assumed uses them.
     """
 
     error: NDArray[np.float64]
     accept: NDArray[np.float64]
     forget: NDArray[np.float64]
     prior: NDArray[np.float64]
+    ways: NDArray[np.float64] = field(default_factory=WAYS.copy)
 
     def __post_init__(self) -> None:
         """Raises InputError for a rate out of its range, or an invalid prior."""
-        for key in ("error", "accept", "forget", "prior"):
+        for key in ("error", "accept", "forget", "prior", "ways"):
             object.__setattr__(self, key, np.asarray(getattr(self, key), float))
         rates = {key: getattr(self, key) for key in RANGES}
         count = self.prior.size
         if not 1 <= count <= MOST or any(own.shape != (count,) for own in rates.values()):
             raise InputError("habits", count, f"1 to {MOST} habits, each with all rates")
+        if self.ways.shape != WAYS.shape:
+            raise InputError("habits.ways", self.ways.shape, f"{len(WAYS)} shares")
         for key, own in rates.items():
             for rate in own.tolist():
                 RANGES[key].check(f"habits.{key}", rate)
-        if not (self.prior >= 0).all() or abs(self.prior.sum() - 1) > 1e-6:
-            raise InputError("habits.prior", self.prior.tolist(), "probabilities that sum to 1")
+        for key in ("prior", "ways"):
+            share = getattr(self, key)
+            if not (share >= 0).all() or abs(share.sum() - 1) > 1e-6:
+                raise InputError(f"habits.{key}", share.tolist(), "probabilities that sum to 1")
         object.__setattr__(self, "prior", self.prior / self.prior.sum())
 
     def __len__(self) -> int:

@@ -15,7 +15,7 @@ questions are shrunk to one common mean. If slips seem more frequent than guesse
 questions, then f probably differs from its prior.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import prod
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, softmax
 
-from xplain.explanation.habits import UNKNOWN, Habits
+from xplain.explanation.habits import UNKNOWN, WAYS, Habits
 
 RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
 """The possible error rates e, here and in explanations, and their prior without answers."""
@@ -58,11 +58,13 @@ class AnswerModel:
             is for a question without answers. slip + guess < 1.
         person: [O + 1, E] posterior over :data:`RATES` of each person; the last row is for a person
             without answers.
+        ways: [5] shares of people by their way of answering, as in WAYS.
     """
 
     slip: NDArray[np.float64]
     guess: NDArray[np.float64]
     person: NDArray[np.float64]
+    ways: NDArray[np.float64] = field(default_factory=WAYS.copy)
 
     @property
     def prior(self) -> NDArray[np.float64]:
@@ -75,7 +77,7 @@ class AnswerModel:
         symmetric rate. Answers give no information about messages that are not accepted, so all
         messages count as accepted."""
         mean, whole = (self.slip[-1] + self.guess[-1]) / 2, np.ones(len(RATES))
-        return Habits(mean + RATES * (1 - 2 * mean), whole, 0 * whole, self.prior)
+        return Habits(mean + RATES * (1 - 2 * mean), whole, 0 * whole, self.prior, self.ways)
 
     def log_given(
         self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]

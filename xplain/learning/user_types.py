@@ -57,13 +57,6 @@ NOISY_TEXT = (
 )
 
 
-def wrong_answers(types: UserTypes, dataset: Dataset) -> float:
-    """Estimates the share of the dataset's answers that differ from what people think."""
-    if types.answers is None:
-        return 0.0
-    return types.answers.wrong(dataset.transition, dataset.observer)
-
-
 class TypeFinder(Protocol):
     """Finds user types: the interface of every component ``clusterer``."""
 
@@ -107,7 +100,9 @@ class Clusterer(ABC):
         types = replace(types, landing=landing)
         if types.evidence is not None and types.evidence.lost:
             log.warning("%s", types.evidence)
-        if types.evidence is not None and (share := wrong_answers(types, observed.dataset)) > NOISY:
+        data, answers = observed.dataset, types.answers
+        share = 0.0 if answers is None else answers.wrong(data.transition, data.observer)
+        if types.evidence is not None and share > NOISY:
             log.warning(NOISY_TEXT, 100 * share)
         return types
 

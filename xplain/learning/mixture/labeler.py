@@ -46,7 +46,7 @@ from xplain.learning.mixture.likelihood import (
     cell_posterior,
     scale_errors,
 )
-from xplain.learning.mixture.partition import Partition, errors_of, partition
+from xplain.learning.mixture.partition import Partition, errors_of, learn_ways, partition
 from xplain.learning.prediction import log_likelihood
 from xplain.learning.types import Clustering
 
@@ -507,7 +507,8 @@ class HypothesisTrainer(LabelerTrainer):
             return self, self.answers, self.evidence
         made = errors_of(known.grown, known.of_observers, assignment)
         where = [*known.place, -1]
-        answers = replace(made, slip=made.slip[where], guess=made.guess[where])
+        ways = learn_ways(known.known, known.of_observers)
+        answers = replace(made, slip=made.slip[where], guess=made.guess[where], ways=ways)
         evidence = known.evidence(assignment)
         return (
             replace(self, answers=answers, types=assignment, evidence=evidence),

@@ -21,10 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp, softmax
 
+from xplain.explanation import anybody
+from xplain.explanation.habits import WAYS
+from xplain.explanation.label_table import DENSE
+from xplain.explanation.message_sets import bits_of
 from xplain.learning import answers as answer_model
 from xplain.learning.answers import AnswerModel, CellAnswers, sum_by_group
 from xplain.learning.mixture.likelihood import (
     ERROR,
+    WRONG,
     Answers,
     Cells,
     KnownTransitions,
@@ -109,6 +114,11 @@ TRIED = 5
 """Number of fact sets that are tried for two merged types."""
 
 
+OBSERVERS = 15
+"""The assumed shares of people by their way of answering count as this number of observers. At most
+this number of observers is used, so at least half of the result is assumed."""
+
+
 class Partition(NamedTuple):
     """Types of observers.
 
@@ -158,6 +168,45 @@ def errors_of(
     search.set_common_error()
     search.learn(search.best_of(types))
     return search.learn(search.best_of(types))
+
+
+def learn_ways(known: KnownTransitions, observers: Sequence[Answers]) -> NDArray[np.float64]:
+    """Estimates the shares [5] of people by their way of answering, as in WAYS.
+
+    The facts of each observer are summed out. People of every way also err at the rate WRONG, so
+    that a few wrong answers do not decide the way. The next person may be unlike the observers, so
+    each way other than the first keeps at least its assumed share. With more than DENSE facts the
+    result is WAYS, because explanations do not use it.
+
+    Args:
+        known: the hypotheses.
+        observers: the answers of each observer.
+    """
+    facts, n = known.hypotheses.facts, known.hypotheses.n_messages
+    if n > DENSE:
+        return WAYS
+    who, kept = np.nonzero(bits_of(facts, n))  # each fact that people of a candidate may keep
+    prior = known.hypotheses.prior
+    prior = np.concatenate([prior, prior[who] / np.bitwise_count(facts)[who]])
+    slip, guess = [0, anybody.ERROR, 0, 0.5], [0, anybody.ERROR, anybody.GUESS, 0.5]
+    low, high = WRONG + (1 - 2 * WRONG) * np.array([guess, np.subtract(1, slip)])
+    found = []
+    for transition, told, label in observers[:: -(-len(observers) // OBSERVERS)]:
+        held = facts[:, None] & ~told
+        stuck = held[who] | np.where(told == (1 << n) - 1, 0, 1 << kept[:, None])
+        row = known.hypotheses.row(np.concatenate([held, stuck]))
+        f = known.share[0][row, transition][..., None]
+        one = f * high + (1 - f) * low  # [sets, answers, first four ways]
+        each = np.log(np.where(label[:, None] == 1, one, 1 - one)).sum(axis=1)
+        each += np.log(prior + 1e-300)[:, None]
+        whole = np.logaddexp.reduce(each[: len(facts)])
+        found.append([*whole, np.logaddexp.reduce(each[len(facts) :, 0])])
+    shares = WAYS
+    for _ in range(ROUNDS):
+        likely = softmax(np.array(found) + np.log(shares), axis=1)
+        shares = (likely.sum(axis=0) + OBSERVERS * WAYS) / (len(found) + OBSERVERS)
+    others = np.maximum(shares, WAYS)[1:]
+    return np.array([1 - others.sum(), *others])
 
 
 class _Search:
