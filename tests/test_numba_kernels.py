@@ -1,4 +1,4 @@
-"""The tools for kernels: their cache, reports of compilations, arrays without reference counts."""
+"""The tools for kernels: their cache, reports of compilations, kernels without reference counts."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from packaging.requirements import Requirement
 
-from xplain.numba_kernels import borrow, count_bits, first_bit, nth_bit
+from xplain.numba_kernels import count_bits, first_bit, nth_bit, search
 
 ROOT = Path(__file__).parents[1]
 
@@ -24,8 +24,7 @@ def run(folder: Path, code: str, **environment: str) -> subprocess.CompletedProc
 
 
 DOUBLE = """
-from xplain.numba_kernels import kernel, tell_when_compiling
-tell_when_compiling()
+from xplain.numba_kernels import kernel
 @kernel
 def double(x):
     return 2 * x
@@ -59,14 +58,14 @@ def test_works_where_nothing_can_be_written(tmp_path: Path) -> None:
     assert done.stderr.count("compiling kernels") == 1  # of two
 
 
-@numba.njit
+@search
 def _sums(pair):  # type: ignore[no-untyped-def]
     """Sums arrays in a tuple within a tuple."""
-    first, (second, number) = borrow(pair)
+    first, (second, number) = pair
     return first.sum() + number * second[1].sum()
 
 
-def test_borrowed_arrays_are_the_same_arrays() -> None:
+def test_a_search_borrows_the_arrays_of_its_caller() -> None:
     pair = np.arange(3.0), (np.ones((2, 4)), 2)
     references = sys.getrefcount(pair[0]), sys.getrefcount(pair[1][0])
     assert [_sums(pair) for _ in range(100)] == [11.0] * 100

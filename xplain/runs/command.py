@@ -45,9 +45,7 @@ def _run_single(cfg: DictConfig, own: Any) -> float | None:
     folder = Path(own.runtime.output_dir)
     try:
         with leave_at_once():
-            from xplain.numba_kernels import tell_when_compiling
             from xplain.runs.job import Job, run_alone
-        tell_when_compiling()
         made = Job.of(cfg, own.runtime.choices)
         if cfg.dry_run:
             _check_job(made)

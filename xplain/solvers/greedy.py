@@ -32,12 +32,12 @@ from xplain.solvers.process import (
     Process,
     before_step,
     expected_after_giving,
+    give_all,
     known_bytes,
     known_values,
     make_process,
     matters,
 )
-from xplain.solvers.process import give as give_message
 from xplain.solvers.voi import with_questions
 
 
@@ -67,7 +67,7 @@ class Greedy:
             if not new:
                 return give(chosen)
             chosen |= new
-            belief = give_message(process, belief, new.bit_length() - 1)
+            belief = give_all(process, belief, new)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """Returns the values of *explain* and of each single message."""

@@ -29,7 +29,6 @@ from xplain.explanation.actions import Action, AskQuestion, VisibleState, give
 from xplain.explanation.label_table import NONE
 from xplain.explanation.message_sets import compress, expand
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import tell_when_compiling
 from xplain.solvers import hsvi_kernel as kernel
 from xplain.solvers.base import GIB, Knowledge, Policy, best_action, check_memory
 from xplain.solvers.hsvi_kernel import (
@@ -227,7 +226,6 @@ def search(
     Raises:
         TooLargeError: the tables would need too much memory, or too many messages matter.
     """
-    tell_when_compiling()
     process, tables, kept = _make_tables(problem, effort.memory_gib)
     nothing = SearchResult(process, tables, kept, _allocate_store(tables, process.n_states))
     return _Search(nothing, VisibleState(), process.start, effort, told).run()

@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit, uint64
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import GOLDEN, borrow, first_bit, kernel, part, small, splitmix64
+from xplain.numba_kernels import GOLDEN, first_bit, part, search, small, splitmix64
 from xplain.solvers.search_model import (
     NO_NEWS,
     SearchModel,
@@ -204,7 +204,7 @@ class Scratch(NamedTuple):
     gaps: NDArray[np.float64]
 
 
-@kernel
+@search
 def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
     """Improves the bounds of the nodes in ``order``: by the bounds that nodes with the same (k, v)
     published (``vector`` and ``height`` in :class:`Store`), and by a backup of each node. Then runs
@@ -224,7 +224,6 @@ def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  
     Returns:
         DONE, WORKING (call again), or FULL (grow the store and the scratch, call again).
     """
-    tables, store, scratch = borrow((tables, store, scratch))
     _rehash(store)
     for index in order:
         node = store.nodes[index]
@@ -251,7 +250,7 @@ def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  
     return status
 
 
-@kernel
+@search
 def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[no-untyped-def]
     """Computes the plan that is optimal for each of N known types, and the values of this plan for
     all types. Messages must always correct the fact.
@@ -386,7 +385,6 @@ def _back_up(store, index, a):  # type: ignore[no-untyped-def]
 @njit(nogil=True, error_model="numpy")
 def _improve_bounds(tables, store, index):  # type: ignore[no-untyped-def]
     """Improves a node's bounds by the bounds that were published at its place."""
-    tables, store = borrow((tables, store))
     node, belief = store.nodes[index], store.belief[index]
     row = store.places[node.step, node.given].row
     for i in range(min(store.published[row, 0], KEPT) if row >= 0 else 0):
@@ -456,7 +454,6 @@ def _publish(tables, store, scratch, index, upper, lower, least):  # type: ignor
         upper, lower: the node's bounds before they were improved.
         least: the least improvement that is published.
     """
-    tables, store, scratch = borrow((tables, store, scratch))
     node = store.nodes[index]
     row = store.places[node.step, node.given].row
     if node.upper < upper - least:
@@ -523,7 +520,6 @@ def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-de
 @njit(nogil=True, error_model="numpy")
 def _open_node(tables, store, scratch, index):  # type: ignore[no-untyped-def]
     """Lists the actions that may be optimal at a node. Returns False if the store is full."""
-    tables, store, scratch = borrow((tables, store, scratch))
     node, belief = store.nodes[index], store.belief[index]
     place = store.places[node.step, node.given]
     if place.row < 0 and not _list_sets(tables, store, scratch, node.step, node.given):
@@ -646,7 +642,6 @@ def _is_dominated(over, under):  # type: ignore[no-untyped-def]
 def _expand_action(tables, store, scratch, index, a, gap):  # type: ignore[no-untyped-def]
     """Makes the nodes of the answers to an action. Unlikely answers are left out while this widens
     the gap by at most ``gap``. Returns False if the store or the scratch memory is full."""
-    tables, store, scratch = borrow((tables, store, scratch))
     node, action, belief = store.nodes[index], store.actions[a], scratch.belief
     step, given, messages = node.step, node.given, action.messages
     _copy(store.belief[index], belief)

@@ -49,7 +49,6 @@ from xplain.explanation.actions import (
 from xplain.explanation.belief import round_belief
 from xplain.explanation.label_table import NONE
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derive_seed
 from xplain.solvers.base import Knowledge, Policy, best_action, check_memory, messages_of
 from xplain.solvers.pomcp_kernel import (
@@ -123,7 +122,6 @@ class POMCP:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
-        tell_when_compiling()
         size = 2 * known_bytes(problem) + _estimate_bytes(problem, self.simulations)
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
         process = make_process(problem)

@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from xplain.numba_kernels import (
     GOLDEN,
-    borrow,
     count_bits,
     first_bit,
-    kernel,
-    next_below,
     next_uniform,
     nth_bit,
     part,
+    search,
     small,
     splitmix64,
 )
@@ -184,7 +182,7 @@ Memory = tuple[Tree, LabelCodes, Scratch]
 copies the arrays of a tuple at every call."""
 
 
-@kernel
+@search
 def simulate(simulations, model, memory, options, missed, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """Runs simulations from the root. The caller has set the root's belief.
 
@@ -194,7 +192,6 @@ def simulate(simulations, model, memory, options, missed, log_root, inverse_root
     Indices of records are unsigned numbers here: numba checks signed indices, which may count from
     the end, and the checks would take a tenth of the time.
     """
-    model, memory, log_root, inverse_root = borrow((model, memory, log_root, inverse_root))
     tree, codes, scratch = memory
     n, last = len(model.price), tree.beliefs.shape[1] - 1
     while tree.beliefs[ROOT, last] <= 0.0:
@@ -253,7 +250,7 @@ def _select_action(model, tree, scratch, options, missed, node, log_root):  # ty
                 model, scratch, missed, np.int64(record.step), messages, belief, 0.0
             )
         else:
-            action = nth_bit(untried, next_below(scratch.counter, count_bits(untried)))
+            action = nth_bit(untried, int(next_uniform(scratch.counter) * count_bits(untried)))
         record.untried = untried & ~(1 << action)
         return first + count_bits(actions & ((1 << action) - 1)), action
     bonus = options.exploration * log_root[uint64(record.visits)]
@@ -282,7 +279,7 @@ def _take_action(model, tree, codes, scratch, missed, node, edge, action, state)
     elif action == n:
         if step + 1 == len(model.explain_cost):
             return np.int64(END), False, state
-        at = _find_coded_slot(model, codes, said if missed is None else np.int64(0))
+        at = _find_coded_slot(model, codes, scratch, said if missed is None else np.int64(0))
         parent, code = node, _draw_labels(codes, scratch.counter, at, step, state)
         if missed is not None:
             state = _draw_after_step(model, scratch.counter, state)
@@ -530,7 +527,6 @@ def _evaluate_qmdp(model, scratch, missed, step, messages, belief, patience):  #
     Returns:
         The maximum, its action (a message, or n for *explain*), and Σ_s b(s) V(k, v, s).
     """
-    model, scratch = borrow((model, scratch))
     best, base, action, likeliest = 0.0, 0.0, len(model.price), 0.0
     for s in range(len(belief)):
         if belief[s] <= 0.0:
@@ -562,7 +558,7 @@ def _evaluate_qmdp(model, scratch, missed, step, messages, belief, patience):  #
     return best, action, base
 
 
-@kernel
+@search
 def roll(model, codes, scratch, missed, step, said, belief, states, weights, seeds):  # type: ignore[no-untyped-def]
     """Estimates by simulation the return of QMDP's decisions from a belief at (k, v).
 
@@ -573,7 +569,6 @@ def roll(model, codes, scratch, missed, step, said, belief, states, weights, see
         states, weights, seeds: [R] the first state of each simulation, its weight, and the seed of
             its random stream.
     """
-    model, codes, scratch = borrow((model, codes, scratch))
     total = 0.0
     for i in range(len(states)):
         scratch.counter[0] = seeds[i]
@@ -592,7 +587,6 @@ def _roll_out(model, codes, scratch, missed, step, said, state, belief):  # type
     and less noise. If messages always correct the fact, the simulation ends as soon as no later
     decision can have a loss: the state is certain, or no state needs a message.
     """
-    model, codes, scratch = borrow((model, codes, scratch))
     n, steps, value, scale = len(model.price), len(model.explain_cost), 0.0, 1.0
     _find_cells(model.value_stride, said, scratch.cells)
     for s in range(len(belief)):
@@ -623,7 +617,9 @@ def _roll_out(model, codes, scratch, missed, step, said, state, belief):  # type
             scale *= model.discount
             step += 1
             if step < steps:
-                at = _find_coded_slot(model, codes, said if missed is None else np.int64(0))
+                at = _find_coded_slot(
+                    model, codes, scratch, said if missed is None else np.int64(0)
+                )
                 code = _draw_labels(codes, scratch.counter, at, step - 1, state)
                 _update_belief(codes, at, step - 1, state, code, scratch.belief)
                 if missed is not None:
@@ -692,7 +688,7 @@ def _update_belief(codes, at, step, state, code, belief):  # type: ignore[no-unt
 
 
 @part
-def _find_coded_slot(model, codes, shown):  # type: ignore[no-untyped-def]
+def _find_coded_slot(model, codes, scratch, shown):  # type: ignore[no-untyped-def]
     """Returns the slot of ``codes.labels`` and ``codes.columns`` for the messages on which labels
     depend: v, or 0 if messages may be missed. Fills the slot if necessary. Message sets with the
     same hash use the same slot: a set replaces the earlier set."""
@@ -701,19 +697,18 @@ def _find_coded_slot(model, codes, shown):  # type: ignore[no-untyped-def]
         slot ^= slot >> 24 ^ slot >> 48
         slot = (slot ^ slot >> 12) & (len(codes.coded) - 1)
     if codes.coded[slot] != shown:
-        _code_labels(model.answered, model.stride, shown, codes.labels[slot], codes.columns[slot])
+        _find_cells(model.stride, shown, scratch.cells)
+        _code_labels(model.answered, scratch.cells, codes.labels[slot], codes.columns[slot])
         codes.coded[slot] = shown
     return slot
 
 
 @njit(nogil=True)
-def _code_labels(answered, stride, said, labels, columns):  # type: ignore[no-untyped-def]
-    """Fills this slot of ``codes.labels`` and ``codes.columns`` for v."""
+def _code_labels(answered, cells, labels, columns):  # type: ignore[no-untyped-def]
+    """Fills this slot of ``codes.labels`` and ``codes.columns`` for the messages whose cells are
+    given."""
     steps, states = columns.shape
     found = 0
-    cells = np.empty(states, np.int64)
-    for s in range(states):
-        cells[s] = find_cell(stride, said, s)
     for i in range(steps):
         differs, code = False, GOLDEN
         first = answered[i, cells[0]]
@@ -747,9 +742,9 @@ def _draw_after_message(model, counter, state, message):  # type: ignore[no-unty
 @part
 def _draw_after_step(model, counter, state):  # type: ignore[no-untyped-def]
     """Draws the state of a user after a step, at whose end known facts may be forgotten."""
-    types = len(model.forget)
-    lost, bit = model.forget[state % types], types
-    while lost > 0.0 and bit < len(model.relevant):
+    types = bit = len(model.forget)
+    lost = model.forget[state % types]
+    while lost > 0.0 and bit <= state:  # no fact of a larger bit is known
         if state // bit % 2 == 1 and next_uniform(counter) < lost:
             state -= bit
         bit *= 2

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import first_bit, kernel, small
+from xplain.numba_kernels import first_bit, search, small
 
 NO_NEWS = 1e-12
 """A question whose answer is expected to give less information than this, in nats, is not asked."""
@@ -94,11 +94,12 @@ def forget(lose, belief):  # type: ignore[no-untyped-def]
     types = len(lose)
     bit = types
     while bit < len(belief):
-        for s in range(len(belief)):
-            if s // bit % 2 == 0:
-                lost = lose[s % types] * belief[s + bit]
-                belief[s + bit] -= lost
-                belief[s] += lost
+        for first in range(0, len(belief), 2 * bit):
+            for row in range(first, first + bit, types):
+                for t in range(types):
+                    lost = lose[t] * belief[row + bit + t]
+                    belief[row + bit + t] -= lost
+                    belief[row + t] += lost
         bit *= 2
 
 
@@ -111,7 +112,7 @@ def _entropy(p):  # type: ignore[no-untyped-def]
     return value
 
 
-@kernel
+@search
 def rank_questions(answered, likelier, cells, belief, news):  # type: ignore[no-untyped-def]
     """Computes the mutual information of each question's answer and the state, in nats. The result
     is written to ``news`` [Q]; it is −1 for questions that cannot be asked now.
