@@ -73,12 +73,6 @@ class DomainConformance(Conformance):
         assert ((starts >= 0) & (starts < robot.n_states)).all(), "a start is not a state"
         assert not robot.terminal[starts].any(), "a start is terminal"
 
-    def test_the_robot_is_explicable_to_those_who_know_the_task(self, component: Any) -> None:
-        """People who believe all values correctly find every transition of the robot explicable."""
-        setting = _make_setting(component)
-        labels = setting.label_by_model(setting.reachable)[0]
-        assert labels.all(), "the robot's own model finds the robot inexplicable"
-
     def test_every_message_can_matter(self, component: Any) -> None:
         """For a person who believes everything incorrectly, each message changes some label,
         possibly together with other messages."""

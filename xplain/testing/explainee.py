@@ -27,7 +27,7 @@ class ExplaineeConformance(Conformance):
         """Two persons with the same seed and messages have the same labels and answers."""
         for seed in range(5):
             one, other = (_show_trace(component, seed, [2, 1, 0, 0, 4, 0]) for _ in range(2))
-            assert _are_equal(one, other), "what a person does depends on more than the seed"
+            np.testing.assert_equal(one, other, "what a person does depends on more than the seed")
 
     def test_the_labels_stay_as_they_were(self, component: Any) -> None:
         """The labels belong to the caller and must not change."""
@@ -50,11 +50,3 @@ def _show_trace(component: Any, seed: int, said: list[int]) -> list[Reaction]:
         person.hear(new)
         reactions.append(person.react(int(given[k]), k + 1))
     return reactions
-
-
-def _are_equal(one: list[Reaction], other: list[Reaction]) -> bool:
-    return all(
-        np.array_equal(a, b)
-        for x, y in zip(one, other, strict=True)
-        for a, b in zip(x, y, strict=True)
-    )

@@ -16,6 +16,7 @@ from itertools import compress, product
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xplain.explanation.asking import bitmask
 from xplain.explanation.problem import Problem
@@ -203,35 +204,27 @@ def literal_optimal_value(problem: Problem) -> float:
 
 
 def reduced_optimal_value(
-    problem: Problem, step: int = 0, given: int = 0, belief: tuple[float, ...] | None = None
+    problem: Problem, step: int = 0, given: int = 0, belief: NDArray[np.float64] | None = None
 ) -> float:
-    """Computes the same value from (k, H, belief), a state that is sufficient by docs/method.md §5.
+    """Computes the same value from (k, H, belief [N]), a state that is sufficient by
+    docs/method.md §5.
 
     This function, too, tries every message and every label vector. It merges no observations.
     """
     if belief is None:
-        belief = tuple(float(p) for p in problem.prior)
+        belief = problem.prior
     if step == problem.n_steps:
         return 0.0
-    thought = problem.table.label_probabilities(step + 1, given)
-    expected_zeros = float(np.dot(belief, (1 - thought).sum(axis=1)))
-    later = 0.0
-    columns = problem.table.answer_probabilities(step + 1, given).tolist()
+    zeros = (1 - problem.table.label_probabilities(step + 1, given)).sum(axis=1)
+    yes, later = problem.table.answer_probabilities(step + 1, given), 0.0
     for labels in product((0, 1), repeat=step + 1):
-        joint = []
-        for weight, column in zip(belief, columns, strict=True):
-            for p, label in zip(column, labels, strict=True):
-                weight *= p if label == 1 else 1 - p
-            joint.append(weight)
-        total = sum(joint)
-        if total > 0:
-            posterior = tuple(weight / total for weight in joint)
-            later += total * reduced_optimal_value(problem, step + 1, given, posterior)
-    best = -problem.inexplicability_cost * expected_zeros + problem.discount * later
-    per_message = problem.message_discount
+        joint = belief * np.where(labels, yes, 1 - yes).prod(axis=1)
+        if (total := float(joint.sum())) > 0:
+            later += total * reduced_optimal_value(problem, step + 1, given, joint / total)
+    best = -problem.inexplicability_cost * float(belief @ zeros) + problem.discount * later
     for j in problem.messages_with_effect:
         if not given >> j & 1:
             after = reduced_optimal_value(problem, step, given | 1 << j, belief)
             price = problem.trade_off * float(problem.message_cost[j])
-            best = max(best, -price + per_message * after)
+            best = max(best, -price + problem.message_discount * after)
     return best

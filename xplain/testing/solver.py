@@ -49,11 +49,7 @@ class SolverConformance(Conformance):
                 assert isinstance(action, Explain | GiveMessages), (
                     f"{action!r} is not Explain or GiveMessages"
                 )
-                new = messages_of(action)
-                assert isinstance(new, (int, np.integer)), f"{new!r} is not a bitmask"
-                assert new >= 0, f"{new} is not a bitmask"
-                assert new & given == 0, f"{new:b} repeats messages of {given:b}"
-                assert new >> problem.n_messages == 0, f"{new:b} has a message that does not exist"
+                _check_messages(messages_of(action), given, problem)
 
     def test_the_same_question_gets_the_same_answer(self, component: Any) -> None:
         """A decision does not depend on earlier decisions. Two plans with the same seed decide
@@ -73,10 +69,8 @@ class SolverConformance(Conformance):
             policy = component.plan(problem, 0)
             for visible, belief in questions:
                 for action, value in policy.values(visible, belief).items():
-                    new, given = messages_of(action), visible.given
-                    assert new & given == 0, f"a value for {new:b} with {given:b} given"
-                    assert 0 <= new < 1 << problem.n_messages, f"a value for {new:b}"
-                    assert np.isfinite(value), f"the value of {new:b} is {value}"
+                    _check_messages(messages_of(action), visible.given, problem)
+                    assert np.isfinite(value), f"the value of {action} is {value}"
 
     def test_leaves_problem_and_belief_as_they_were(self, component: Any) -> None:
         """The problem and the belief belong to the caller and must not change."""
@@ -99,7 +93,7 @@ class SolverConformance(Conformance):
             problem = Problem(certain, np.ones(2))
             policy = component.plan(problem, 0)
             for step in range(steps):
-                action = policy.decide(VisibleState(step), _make_belief(problem))
+                action = policy.decide(VisibleState(step), problem.prior)
                 assert action == EXPLAIN, "a message without a gain"
 
     def test_says_at_once_what_makes_the_whole_trace_explicable(self, component: Any) -> None:
@@ -112,7 +106,7 @@ class SolverConformance(Conformance):
         table[:, :, [2, 3]] = good
         problem = Problem(LabelTable.dense(table), np.ones(2), trade_off=0.1)
         policy = component.plan(problem, 0)
-        action = policy.decide(VisibleState(), _make_belief(problem))
+        action = policy.decide(VisibleState(), problem.prior)
         assert action == GiveMessages(2), "message 1 alone is worth its cost"
 
     def test_explains_a_whole_trace(self, component: Any) -> None:
@@ -146,21 +140,22 @@ class SolverConformance(Conformance):
                         int(rng.integers(problem.n_steps)),
                         int(rng.integers(1 << problem.n_messages)),
                     ),
-                    rng.dirichlet(np.full(problem.n_types, 0.5)) if problem.n_types > 1 else ONE,
+                    rng.dirichlet(np.full(problem.n_types, 0.5)),
                 )
                 for _ in range(4)
             ]
             yield problem, questions
 
 
-ONE = np.ones(1)
+def _check_messages(new: int, given: int, problem: Problem) -> None:
+    """Raises AssertionError if the messages ``new`` cannot be given after ``given``."""
+    assert isinstance(new, (int, np.integer)), f"{new!r} is not a bitmask"
+    assert new >= 0, f"{new} is not a bitmask"
+    assert new & given == 0, f"{new:b} repeats messages of {given:b}"
+    assert new >> problem.n_messages == 0, f"{new:b} has a message that does not exist"
 
 
 def _count_types(solver: Solver, several: int) -> int:
     """Returns the number of types to plan for: ``several`` if the solver plans for several types,
     otherwise 1."""
     return several if solver.knows == "types" else 1
-
-
-def _make_belief(problem: Problem) -> NDArray[np.float64]:
-    return np.full(problem.n_types, 1 / problem.n_types)

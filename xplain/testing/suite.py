@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from xplain.domains.base import Domain
 from xplain.testing.chosen import Chosen
 
 
@@ -22,3 +23,12 @@ class Conformance:
     def component(self) -> Any:
         """The component, for every test of the suite."""
         return self.chosen.component
+
+
+class DomainUser(Conformance):
+    """A suite for components that need a domain."""
+
+    @pytest.fixture(scope="class")
+    def domain(self) -> Domain:
+        """The domain, rescue by default; override it for components of another domain."""
+        return Chosen("domain", "rescue").component
