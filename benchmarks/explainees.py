@@ -31,7 +31,7 @@ from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import PAPER, Assumed, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.listening import ExplanationRecord, learn_habits
-from xplain.interaction.explainees import Exact, Explainee, Heedless, Person, Slips
+from xplain.interaction.explainees import Exact, Explainee, Heedless, SimulatedUser, Slips
 from xplain.interaction.metrics import Record
 from xplain.interaction.statistics import clustered_mean
 from xplain.solvers.base import Solver
@@ -58,7 +58,7 @@ class Halves(Explainee):
     rate: float
     repeats: bool
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> SimulatedUser:
         """Makes a person who errs at every second seed."""
         who: Explainee = Slips(self.rate, self.repeats) if seed % 2 else Exact()
         return who.meet(labels, same, seed)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.decisions import belief_over_rows, messages_given, states_after, worths
 from xplain import LabelTable, Problem
-from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState
+from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState, give
 from xplain.explanation.asking import Limits, Questions, alike_first, nearest_first
 from xplain.explanation.belief import (
     Independent,
@@ -23,9 +23,7 @@ from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.message_sets import indices
 from xplain.interaction.dialogue import (
     Dialogue,
-    MessagesGiven,
     QuestionAnswered,
-    QuestionAsked,
     StepLabelled,
 )
 from xplain.solvers.greedy import QMDP
@@ -74,7 +72,7 @@ def test_the_belief_is_that_of_the_literal_person(seed: int) -> None:
         answers: dict[tuple[int, ...], int] = {}
         for k in range(5):
             new = int(rng.integers(4)) & ~talk.state.visible.given if rng.random() < 0.4 else 0
-            talk.hear(MessagesGiven(new))
+            talk.hear(give(new))
             said, labels = talk.state.visible.given, []
             for i in range(k + 1):
                 key = (int(copies[i]), said) if repeats else (i, said, k)
@@ -254,7 +252,7 @@ def test_questions_that_do_not_say_what_they_show_show_nothing_of_the_trace(seed
     for shows in (np.zeros((len(asking), problem.n_steps), np.bool_), np.empty((0, 0), np.bool_)):
         own = replace(problem, questions=replace(asking, shows=shows))
         talk = Dialogue(own, AsksAll(own), Persistent())
-        talk.hear(QuestionAsked(0), QuestionAnswered(1))
+        talk.hear(AskQuestion(0), QuestionAnswered(1))
         talk.hear(*(StepLabelled((1,) * k) for k in range(1, own.n_steps + 1)))
         beliefs.append(talk.state.belief)
     assert np.array_equal(*beliefs)
@@ -268,5 +266,5 @@ def test_what_was_answered_as_a_label_is_not_asked_again() -> None:
         assert talk.decide() == AskQuestion(0)  # the second transition was not shown yet
         talk.hear(StepLabelled((1, 0)))
         assert talk.decide() == again
-        talk.hear(MessagesGiven(1))
+        talk.hear(give(1))
         assert talk.decide() == AskQuestion(0)  # after a message it is another question

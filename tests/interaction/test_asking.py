@@ -139,9 +139,9 @@ def test_it_asks_says_and_shows_in_turn() -> None:
     assert isinstance(question, Question)
     assert (question.about, question.replies) == ("refuels", (("yes", 1), ("no", 0)))
     why = session.why()
-    assert why.asked == question
+    assert why.chosen == question
     assert "refuels" in str(why).splitlines()[0]
-    assert [one for one, _ in why.questions] == [question]
+    assert [one for one in why.values if isinstance(one, Question)] == [question]
     session.answer(False)
     assert session.belief["new"] > 0.9
     assert session.next() == session.next() == Show(("fuel",), 1)

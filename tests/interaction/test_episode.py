@@ -98,7 +98,7 @@ class Careless(Scripted):
 @pytest.mark.parametrize("script", [[1, 1], [4, 0]])
 def test_a_policy_that_repeats_or_invents_messages_is_caught(script):
     problem = Problem(np.full((1, 2, 4), 0.5), np.ones(2))
-    with pytest.raises(ValueError, match="policy gave message set"):
+    with pytest.raises(ValueError, match="messages that may be said"):
         explain(
             problem,
             CachedPolicy(Careless(script)),

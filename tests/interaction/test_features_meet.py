@@ -27,12 +27,11 @@ from xplain import (
     Question,
     Session,
 )
+from xplain.explanation.actions import AskQuestion, GiveMessages
 from xplain.explanation.message_sets import indices
 from xplain.interaction.dialogue import (
     Dialogue,
-    MessagesGiven,
     QuestionAnswered,
-    QuestionAsked,
     StepLabelled,
 )
 from xplain.learning.user_types import learn_types
@@ -171,16 +170,16 @@ def literal_belief(talk: Dialogue) -> NDArray[np.float64] | None:
 
     for event in talk.events:
         match event:
-            case QuestionAsked(question):
+            case AskQuestion(question):
                 asked = question
             case QuestionAnswered(answer):
                 states = states_after(pomdp, states, EXPLAIN - 1 - asked, (answer,))
                 shown = problem.questions.shows[asked]
                 heard |= set(problem.copies[: len(shown)][shown].tolist())
-            case MessagesGiven(messages):
+            case GiveMessages(messages):
                 for j in indices(messages):
                     states = states_after(pomdp, states, j)
-                heard = set() if messages else heard
+                heard = set()
             case StepLabelled(labels):
                 news: list[int | None] = []
                 for label, copy in zip(labels, problem.copies.tolist(), strict=False):

@@ -3,11 +3,13 @@
 import json
 from collections.abc import Sequence
 from importlib.resources import files
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from xplain.demo.play import DemoSetup, PlayedSession, play, set_up
 from xplain.experiment.results import encode_question
+from xplain.explanation.asking import Question
 from xplain.interaction.session import Why
 from xplain.storage import encode, write_text
 
@@ -73,8 +75,10 @@ def content(stage: DemoSetup, played: PlayedSession) -> dict[str, Any]:
 
 def _list_values(why: Why) -> list[dict[str, Any]]:
     """Lists the best messages and questions with their values; the highest value comes first."""
-    found: list[dict[str, Any]] = [
-        *({"messages": names, "value": value} for names, value in why.values.items()),
-        *({"question": str(q), "messages": (), "value": value} for q, value in why.questions),
+    best = islice(why.values.items(), SHOWN)
+    return [
+        {"question": str(action), "messages": (), "value": value}
+        if isinstance(action, Question)
+        else {"messages": action, "value": value}
+        for action, value in best
     ]
-    return sorted(found, key=lambda one: -one["value"])[:SHOWN]

@@ -15,7 +15,7 @@ from xplain.explanation.asking import Question
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.label_table import join_steps
 from xplain.explanation.message_sets import mask_of
-from xplain.interaction.explainees import Explainee, Person
+from xplain.interaction.explainees import Explainee, SimulatedUser
 from xplain.interaction.explainer import Explainer, GivenTypes
 from xplain.interaction.session import Candidate, Session, Why
 from xplain.randomness import derive_seed, stream
@@ -270,7 +270,7 @@ def play(scene: DemoSetup, user: str) -> PlayedSession:
     return PlayedSession(user, prior, tuple(steps))
 
 
-def _make_person(scene: DemoSetup, user: str) -> Person:
+def _make_person(scene: DemoSetup, user: str) -> SimulatedUser:
     truth, same = true_thoughts(scene.case)
     labels = truth.of_types([scene.prepared.types.index(user)])
     seed = derive_seed(scene.explainer.seed, "explainee", user)

@@ -114,7 +114,8 @@ class Questions:
     right: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __post_init__(self) -> None:
-        """Raises InputError if an attribute does not have one entry for each question."""
+        """Raises InputError if an attribute does not have one entry for each question, or a
+        question about a fact does not have two sentences."""
         count = len(self.table.p)
         if not self.right.size:
             object.__setattr__(self, "right", np.full(count, -1))
@@ -123,6 +124,10 @@ class Questions:
         for own in (self.shows, self.right, self.texts or self.shows):
             if len(own) != count:
                 raise InputError("questions", len(own), f"{count}, as the table has")
+        for text, right in zip(self.texts, self.right.tolist(), strict=False):
+            one_of("questions.right", right, (-1, 0, 1))
+            if right >= 0 and text.count("\n") != 1:
+                raise InputError("questions.texts", text, "two sentences on two lines")
 
     def __len__(self) -> int:
         return len(self.table.p)

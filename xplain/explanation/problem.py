@@ -85,7 +85,9 @@ class Problem:
         cost = expand_costs(self.message_cost, count)
         n = len(cost)
         asking = self.questions or Questions(table.of_steps([]))
-        if asking.table.n_types != types or asking.shows.shape[1] not in (0, steps):
+        if not asking.shows.size:  # no question is about a transition of the trace
+            asking = replace(asking, shows=np.zeros((len(asking), steps), np.bool_))
+        if asking.table.n_types != types or asking.shows.shape[1] != steps:
             found = asking.table.n_types, asking.shows.shape[1]
             raise InputError("questions", found, f"{types} types and {steps} steps, or 0 steps")
         for key, own in (

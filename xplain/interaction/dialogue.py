@@ -14,30 +14,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.actions import Action, VisibleState
+from xplain.errors import InputError
+from xplain.explanation.actions import Action, AskQuestion, Explain, GiveMessages, VisibleState
 from xplain.explanation.asking import bitmask
-from xplain.explanation.belief import BeliefUpdate, update, update_by_answer, update_by_messages
-from xplain.explanation.message_sets import indices
+from xplain.explanation.belief import (
+    BeliefUpdate,
+    Evidence,
+    update,
+    update_by_answer,
+    update_by_messages,
+)
+from xplain.explanation.message_sets import names_of
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Policy
-
-
-class QuestionAsked(NamedTuple):
-    """The event that the question with this number was asked."""
-
-    question: int
+from xplain.solvers.base import Policy, messages_of
 
 
 class QuestionAnswered(NamedTuple):
     """The event that the user answered the last question, with 0 or 1."""
 
     answer: int
-
-
-class MessagesGiven(NamedTuple):
-    """The event that the messages of a step were given (a bitmask; 0 is none)."""
-
-    messages: int
 
 
 class StepLabelled(NamedTuple):
@@ -47,7 +42,8 @@ class StepLabelled(NamedTuple):
     labels: tuple[int, ...]
 
 
-Event = QuestionAsked | QuestionAnswered | MessagesGiven | StepLabelled
+Event = Action | QuestionAnswered | StepLabelled
+"""An event: an action was taken, or the user reacted to an action."""
 
 
 class DialogueState(NamedTuple):
@@ -56,21 +52,16 @@ class DialogueState(NamedTuple):
     Attributes:
         visible: step, messages given, and questions asked.
         belief: [S] over the hidden states.
-        open: the question that the user has not answered yet; None for none.
-        new: bitmask of the messages given at the current step; None before they are decided.
-        repeats: True if the user has received no message and forgotten nothing since the last
-            labels. Users who repeat themselves then give the same labels again.
-        clips: bitmask of the questions answered since the last message (or since the last step, if
-            users may forget). Users who repeat themselves label a transition as they answered the
-            question about it.
+        known: [m] True for each transition that the user has labelled, or answered a question
+            about, since the last message (or since the last step, if users may forget). Users who
+            repeat themselves label such a transition in the same way again.
+        pending: the action to which the user has not reacted yet; None before the next decision.
     """
 
     visible: VisibleState
     belief: NDArray[np.float64]
-    open: int | None = None
-    new: int | None = None
-    repeats: bool = False
-    clips: int = 0
+    known: NDArray[np.bool_]
+    pending: Action | None = None
 
 
 def advance(
@@ -79,67 +70,45 @@ def advance(
     """Computes the state after an event.
 
     Raises:
-        ValueError: messages that do not exist, or may not be given any more.
+        InputError: messages that do not exist, or may not be given any more.
     """
-    visible, belief = state.visible, state.belief
+    visible, belief, known, pending = state
     match event:
-        case QuestionAsked(question):
-            return state._replace(open=question)
+        case AskQuestion():
+            return state._replace(pending=event)
         case QuestionAnswered(answer):
-            assert state.open is not None
-            bit = 1 << state.open
-            return state._replace(
-                visible=visible._replace(asked=visible.asked | bit),
-                belief=update_by_answer(problem, belief, visible.given, state.open, answer),
-                open=None,
-                clips=state.clips | bit,
+            assert isinstance(pending, AskQuestion)
+            question = pending.question
+            return DialogueState(
+                visible._replace(asked=visible.asked | 1 << question),
+                update_by_answer(problem, belief, visible.given, question, answer),
+                known | problem.questions.shows[question],
             )
-        case MessagesGiven(messages):
-            if messages & ~problem.may_give(visible.given):
-                raise ValueError(
-                    f"policy gave message set {messages:b} at step {visible.step}, "
-                    f"{visible.given:b} already said"
-                )
-            given = state._replace(
-                visible=visible._replace(given=visible.given | messages),
-                belief=update_by_messages(problem, belief, messages),
-                open=None,
-                new=messages,
-            )
-            # After a message, the answer to the same question may differ.
-            return given._replace(repeats=False, clips=0) if messages else given
         case StepLabelled(labels):
-            heard = np.array(labels, np.uint8)
-            evidence = (
-                slice(None) if belief_update.fresh_labels else _find_evidence(problem, state, heard)
-            )
-            # The answer may also differ after facts were forgotten.
+            heard, steps = np.array(labels, np.uint8), np.arange(len(known))
+            evidence: Evidence = slice(None)
+            if not belief_update.fresh_labels:  # only labels that people could not repeat
+                evidence = (~known & (problem.copies == steps))[: len(heard)]
+            # After facts were forgotten, the same person may give another label.
             forgets = bool(problem.habits.forget.any())
             return DialogueState(
-                visible._replace(step=len(labels)),
+                visible._replace(step=len(heard)),
                 update(problem, belief, visible.given, heard, evidence),
-                repeats=not forgets,
-                clips=0 if forgets else state.clips,
+                np.zeros_like(known) if forgets else known | (steps < len(heard)),
             )
-
-
-def _find_evidence(
-    problem: Problem, state: DialogueState, labels: NDArray[np.uint8]
-) -> NDArray[np.bool_]:
-    """Finds the labels that are evidence if people repeat themselves. A label is evidence if its
-    transition is the first of equal transitions, and the person has neither labelled the transition
-    nor answered a question about it since the last message.
-
-    Returns:
-        [k + 1] True for a label that is evidence.
-    """
-    count = len(labels)
-    news: NDArray[np.bool_] = problem.copies[:count] == np.arange(count)
-    if state.repeats:
-        news[:-1] = False
-    shows = problem.questions.shows[indices(state.clips), :count]  # possibly without columns
-    news[: shows.shape[1]] &= ~shows.any(axis=0)
-    return news
+        case _:
+            messages = messages_of(event)
+            if messages & ~problem.may_give(visible.given):
+                names = problem.message_names
+                wanted = f"messages that may be said after {names_of(visible.given, names)}"
+                raise InputError("messages", names_of(messages, names) or bin(messages), wanted)
+            return DialogueState(
+                visible._replace(given=visible.given | messages),
+                update_by_messages(problem, belief, messages),
+                # After a message, the same person may give another label.
+                np.zeros_like(known) if messages else known,
+                event,
+            )
 
 
 @dataclass
@@ -161,7 +130,9 @@ class Dialogue:
     state: DialogueState = field(init=False)
 
     def __post_init__(self) -> None:
-        self.state = DialogueState(VisibleState(), self.problem.start)
+        self.state = DialogueState(
+            VisibleState(), self.problem.start, np.zeros(self.problem.n_steps, np.bool_)
+        )
         events, self.events = self.events, []
         self.hear(*events)
 
@@ -169,7 +140,7 @@ class Dialogue:
         """Adds events, and computes the state after them.
 
         Raises:
-            ValueError: see :func:`advance`.
+            InputError: see :func:`advance`.
         """
         for event in events:
             self.state = advance(self.problem, self.belief_update, self.state, event)
@@ -181,13 +152,13 @@ class Dialogue:
 
     @property
     def visible(self) -> VisibleState:
-        """The visible state that the policy receives. If users repeat themselves, a question whose
-        transition the user has just labelled counts as asked, because its answer is known."""
-        state, shows = self.state, self.problem.questions.shows
-        if not state.repeats or self.belief_update.fresh_labels:
-            return state.visible
-        heard = np.flatnonzero(shows[:, : state.visible.step].any(axis=1))
-        return state.visible._replace(asked=state.visible.asked | bitmask(heard.tolist()))
+        """The visible state that the policy receives. If users repeat themselves, a question about
+        a transition whose label is known counts as asked."""
+        visible = self.state.visible
+        if self.belief_update.fresh_labels:
+            return visible
+        answered = (self.problem.questions.shows & self.state.known).any(axis=1)
+        return visible._replace(asked=visible.asked | bitmask(np.flatnonzero(answered).tolist()))
 
     def decide(self, asking: bool = True) -> Action:
         """Returns the policy's action. If ``asking`` is False, the action is not a question."""
@@ -203,7 +174,8 @@ class Dialogue:
     @property
     def said(self) -> tuple[int, ...]:
         """The messages of each step, as bitmasks."""
-        return tuple(event.messages for event in self.events if isinstance(event, MessagesGiven))
+        taken = (event for event in self.events if isinstance(event, Explain | GiveMessages))
+        return tuple(messages_of(action) for action in taken)
 
     @property
     def labels(self) -> tuple[tuple[int, ...], ...]:

@@ -11,14 +11,8 @@ from numpy.typing import NDArray
 from xplain.explanation.actions import AskQuestion
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
-from xplain.interaction.dialogue import (
-    Dialogue,
-    MessagesGiven,
-    QuestionAnswered,
-    QuestionAsked,
-    StepLabelled,
-)
-from xplain.interaction.explainees import Person
+from xplain.interaction.dialogue import Dialogue, QuestionAnswered, StepLabelled
+from xplain.interaction.explainees import SimulatedUser
 from xplain.solvers.base import CachedPolicy, messages_of
 
 
@@ -79,7 +73,7 @@ class Episode:
 def explain(
     problem: Problem,
     policy: CachedPolicy,
-    user: Person,
+    user: SimulatedUser,
     belief_update: BeliefUpdate,
     sees_knowledge: bool = False,
 ) -> Episode:
@@ -94,39 +88,38 @@ def explain(
             now.
 
     Raises:
-        InputError: the policy asks a question, and the user does not answer questions.
-        ValueError: the policy repeats a message, or gives one that does not exist.
+        InputError: the policy repeats a message, or gives one that does not exist.
     """
     m = problem.n_steps
     talk = Dialogue(problem, policy, belief_update)
     labels, thoughts = np.full((2, m, m), -1, dtype=np.int8)
-    beliefs = np.empty((m + 1, problem.n_user_types))
-    beliefs[0] = problem.type_belief(talk.state.belief)
+    beliefs = [problem.type_belief(talk.state.belief)]
     seconds = np.zeros(m)
     questions = []
     while (k := talk.state.visible.step) < m:
-        if sees_knowledge and (knows := user.knows) is not None:
-            talk.state = talk.state._replace(belief=problem.sure(0, knows))
-        action, given = talk.decide(), talk.state.visible.given
+        if sees_knowledge:
+            known = user.kind.find_known(user, talk.state.visible.given)
+            talk.state = talk.state._replace(belief=problem.sure(0, known))
+        action = talk.decide()
+        talk.hear(action)
         seconds[k] += policy.seconds
+        given = talk.state.visible.given
         if isinstance(action, AskQuestion):
             answer = user.answer(m + action.question, given)
-            talk.hear(QuestionAsked(action.question), QuestionAnswered(answer))
+            talk.hear(QuestionAnswered(answer))
             questions.append((k, action.question, answer))
             continue
-        new = messages_of(action)
-        user.hear(new)
-        talk.hear(MessagesGiven(new))
-        thought, answers = user.react(talk.state.visible.given, k + 1)
-        thoughts[k, : k + 1], labels[k, : k + 1] = thought, answers
+        user.hear(messages_of(action))
+        thoughts[k, : k + 1], answers = user.react(given, k + 1)
+        labels[k, : k + 1] = answers
         talk.hear(StepLabelled(tuple(answers.tolist())))
-        beliefs[k + 1] = problem.type_belief(talk.state.belief)
+        beliefs.append(problem.type_belief(talk.state.belief))
     zeros = int((thoughts == 0).sum())
     return Episode(
         np.array(talk.said, np.int64),
         labels,
         thoughts,
-        beliefs,
+        np.array(beliefs),
         seconds,
         problem.communication(talk.said),
         problem.inexplicability_cost * zeros,

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Annotated, ClassVar, NamedTuple, Protocol
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import UserType
 from xplain.domains.users.types import user_type
-from xplain.errors import Count, InputError, Probability, Range, Slip, checks
+from xplain.errors import Count, Probability, Range, Slip, checks
 from xplain.explanation.habits import PAPER, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
@@ -37,39 +37,6 @@ class Reaction(NamedTuple):
 
     thoughts: NDArray[np.uint8]
     answers: NDArray[np.uint8]
-
-
-class Person(Protocol):
-    """A person in one explanation. Subclasses define :meth:`react`; the other methods have
-    defaults."""
-
-    @property
-    def knows(self) -> int | None:
-        """Bitmask of the corrected facts that the person currently knows; None if all given
-        messages are known."""
-        return None
-
-    def hear(self, new: int) -> None:
-        """Receives messages (a bitmask), new or repeated."""
-
-    def react(self, given: int, count: int) -> Reaction:
-        """Reacts to the first ``count`` transitions, given the messages ``given`` so far. The
-        method is called once for each step, in order."""
-
-    def answer(self, row: int, given: int) -> int:
-        """Answers a question with 0 or 1, given the messages ``given`` so far.
-
-        Args:
-            row: index of the question in the person's label table, whose first rows are the
-                transitions of the trace.
-            given: bitmask of the messages.
-
-        Raises:
-            InputError: this person answers no questions.
-        """
-        raise InputError(
-            "explainee", type(self).__name__, "users who answer questions; or ask=never"
-        )
 
 
 class Explainee:
@@ -109,8 +76,8 @@ class Explainee:
         """
         return labels
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """Makes a new person, by default a :class:`SimulatedUser` of this kind.
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> SimulatedUser:
+        """Makes a new person of this kind.
 
         Args:
             labels: labels 0 and 1 of one type, for m transitions and then for the possible
@@ -163,9 +130,9 @@ class Exact(Explainee):
 
 
 @dataclass
-class SimulatedUser(Person):
-    """A person of any kind. By default the person accepts every message, never forgets, and answers
-    by the true labels of one user type.
+class SimulatedUser:
+    """A person in one explanation. By default the person accepts every message, never forgets, and
+    answers by the true labels of one user type.
 
     Attributes:
         table: label table of this type alone; its first rows are the trace's transitions, the other
@@ -173,6 +140,7 @@ class SimulatedUser(Person):
         kind: decides what the person knows and answers.
         same, seed: see :meth:`Explainee.meet`.
         step: number of transitions shown so far.
+        knows: bitmask of the facts that the person knows, if the kind stores it.
         memory: for some messages, a number that the kind stores for the person.
     """
 
@@ -180,8 +148,8 @@ class SimulatedUser(Person):
     kind: Explainee = Exact()
     same: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     seed: int = 0
-    knows: int | None = field(default=None, init=False)
     step: int = field(default=0, init=False)
+    knows: int = field(default=0, init=False)
     memory: Counter[int] = field(default_factory=Counter, init=False)
 
     @classmethod
@@ -200,7 +168,8 @@ class SimulatedUser(Person):
         self.kind.hear(self, new)
 
     def react(self, given: int, count: int) -> Reaction:
-        """Reacts to the first ``count`` transitions, then ends the step."""
+        """Reacts to the first ``count`` transitions, given the messages ``given`` so far (a
+        bitmask). The method is called once for each step, in order."""
         self.step = count
         known = self.kind.find_known(self, given)
         thoughts = self.labels(count, known)
@@ -209,7 +178,8 @@ class SimulatedUser(Person):
         return Reaction(thoughts, answers)
 
     def answer(self, row: int, given: int) -> int:
-        """Answers the question in row ``row`` of the table with 0 or 1."""
+        """Answers a question with 0 or 1, given the messages ``given`` so far. ``row`` is the
+        question's row in the table."""
         thought = self.labels(row + 1, self.kind.find_known(self, given))[row:]
         return int(self.kind.say(self, thought, np.array([row]), given, "asked", row)[0])
 
@@ -371,23 +341,17 @@ class Heedless(Explainee):
         """The rates of acceptance and forgetting."""
         return habits_of(0.0, self.accept, self.forget)
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """Makes a new person, who knows none of the facts at first."""
-        user = SimulatedUser(labels, self, same, seed)
-        user.knows = 0
-        return user
-
     def hear(self, user: SimulatedUser, new: int) -> None:
         """Draws which messages the user accepts. The user remembers how often each message was
         given."""
         for j in indices(new):
             user.memory[j] += 1
             if stream(user.seed, "accept", j, user.memory[j]).random() < self.accept:
-                user.knows = self.find_known(user, new) | 1 << j
+                user.knows |= 1 << j
 
     def find_known(self, user: SimulatedUser, given: int) -> int:
         """Returns the bitmask of the accepted facts that were not forgotten."""
-        return user.knows or 0
+        return user.knows
 
     def end_step(self, user: SimulatedUser, known: int, thoughts: NDArray[np.uint8]) -> None:
         """Draws which known facts the user forgets."""

@@ -20,7 +20,7 @@ from xplain.explanation.anybody import Open
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import OPEN, BeliefUpdate, Facts, Independent, Persistent
 from xplain.explanation.habits import Assumed, Habits
-from xplain.explanation.label_table import DENSE, MAX_MESSAGES, LabelTable, join_steps
+from xplain.explanation.label_table import DENSE, LabelTable, join_steps
 from xplain.explanation.problem import DiscountPer, Problem, expand_costs
 from xplain.interaction.dialogue import Dialogue, Event
 from xplain.interaction.session import FORMAT, Candidate, Session, plain
@@ -201,8 +201,6 @@ class Explainer:
             given = getattr(self, key)
             if isinstance(given, str | float | type):
                 raise InputError(key, given, f"an object, such as {example}")
-        if len(self.types.messages) > MAX_MESSAGES:
-            raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
         if self.solver.knows in ("type", "labels"):
             wanted = "a solver that need not know the user's type"
             raise InputError("solver", type(self.solver).__name__, wanted)
@@ -266,21 +264,23 @@ class Explainer:
         Raises:
             InputError: an invalid text, or a session with other messages or types.
         """
+        expected = {
+            "format": FORMAT,
+            "messages": [*self.types.messages],
+            "types": [*self.types.names],
+        }
         try:
             state = json.loads(text)
-            written = state["format"]
-            known = {key: tuple(state[key]) for key in ("messages", "types")}
-            trace, expected = list(state["trace"]), int(state["expected_steps"])
+            written = {key: state[key] for key in expected}
+            trace, steps = list(state["trace"]), int(state["expected_steps"])
             clips = [Candidate(*clip) for clip in state["clips"]]
             events = [(str(kind), content) for kind, content in state["events"]]
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("session", text, f"JSON of Session.to_json ({error!r})") from None
-        if written != FORMAT:
-            raise InputError("session.format", written, str(FORMAT))
-        for key, mine in (("messages", self.types.messages), ("types", self.types.names)):
-            if known[key] != tuple(mine):
-                raise InputError(f"session.{key}", known[key], f"must be {', '.join(mine)}")
-        session = self.session(trace, expected, clips)
+        for key, own in expected.items():
+            if written[key] != own:
+                raise InputError(f"session.{key}", written[key], f"must be {own}")
+        session = self.session(trace, steps, clips)
         session.take_up(events)
         return session
 
@@ -335,8 +335,9 @@ class Explainer:
         if not clips or self.ask is None:
             return Questions()
         shows = np.zeros((len(clips), steps), np.bool_)
-        for q, clip in enumerate(clips):
-            shows[q, : len(trace)] = [clip.right < 0 and clip.transition == one for one in trace]
+        shows[:, : len(trace)] = [
+            [clip.right < 0 and clip.transition == one for one in trace] for clip in clips
+        ]
         table = self.types.label_table([clip.transition for clip in clips])
         texts = tuple(clip.text for clip in clips)
         return Questions(table, self.ask, shows, texts, np.array([clip.right for clip in clips]))

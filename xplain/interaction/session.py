@@ -13,30 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, one_of
-from xplain.explanation.actions import AskQuestion
+from xplain.explanation.actions import Action, AskQuestion, Explain, GiveMessages, give
 from xplain.explanation.asking import Question
 from xplain.explanation.belief import NO_FIT
 from xplain.explanation.listening import ExplanationRecord
 from xplain.explanation.message_sets import mask_of, names_of
-from xplain.interaction.dialogue import (
-    Dialogue,
-    Event,
-    MessagesGiven,
-    QuestionAnswered,
-    QuestionAsked,
-    StepLabelled,
-)
+from xplain.interaction.dialogue import Dialogue, Event, QuestionAnswered, StepLabelled
 from xplain.solvers.base import messages_of
 
 FORMAT = 5
 """Version of a session's JSON."""
-KINDS = {
-    QuestionAsked: "ask",
-    QuestionAnswered: "answer",
-    MessagesGiven: "tell",
-    StepLabelled: "observe",
-}
-"""The names of events in this JSON. Each event has the name of the method that adds it."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +57,9 @@ class Candidate:
     text: str
     right: int = -1
 
-    def __post_init__(self) -> None:
-        """Raises InputError if a question about a fact does not have two sentences."""
-        one_of("clips.right", self.right, (-1, 0, 1))
-        if self.right >= 0 and self.text.count("\n") != 1:
-            raise InputError("clips.text", self.text, "two sentences of a belief, on two lines")
+
+NamedAction = Question | tuple[str, ...]
+"""An action with names: a question, or messages and then *explain*."""
 
 
 @dataclass(frozen=True)
@@ -87,34 +71,30 @@ class Why:
         given: messages given before the decision.
         belief: belief in each type, by name.
         fit: probability that the user has a found type and the assumed habits.
-        chosen: the chosen messages; none means *explain* at once.
-        values: estimated discounted return for each set of messages given next, best first; ``()``
-            is *explain* at once. Some solvers evaluate only single messages.
-        asked: the chosen question, if the decision was a question.
-        questions: (question, estimated return if it is asked next), best first, for the questions
-            that the solver evaluated.
+        chosen: the chosen action; ``()`` is *explain* at once.
+        values: estimated discounted return of each action that the solver evaluated, best first.
+            Some solvers evaluate only single messages.
     """
 
     step: int
     given: tuple[str, ...]
     belief: Mapping[str, float]
     fit: float
-    chosen: tuple[str, ...]
-    values: Mapping[tuple[str, ...], float]
-    asked: Question | None = None
-    questions: tuple[tuple[Question, float], ...] = ()
+    chosen: NamedAction
+    values: Mapping[NamedAction, float]
 
     def __str__(self) -> str:
-        did = f"ask: {self.asked}" if self.asked else ", ".join(self.chosen) or "nothing to say"
-        ranked = [
-            *((value, f"ask: {question}") for question, value in self.questions),
-            *((v, ", ".join(names) or "say nothing more") for names, v in self.values.items()),
-        ]
-        ranked.sort(key=lambda one: -one[0])
-        lines = [f"step {self.step + 1}: {did}"] + [f"  {v:9.3f}  {t}" for v, t in ranked]
+        lines = [f"step {self.step + 1}: {_describe(self.chosen, 'nothing to say')}"]
         if self.fit < NO_FIT:
-            lines.insert(1, f"the answers fit none of the types (fit {self.fit:.2f})")
+            lines.append(f"the answers fit none of the types (fit {self.fit:.2f})")
+        for action, value in self.values.items():
+            lines.append(f"  {value:9.3f}  {_describe(action, 'say nothing more')}")
         return "\n".join(lines)
+
+
+def _describe(action: NamedAction, nothing: str) -> str:
+    """Describes an action in words. ``nothing`` describes *explain* without messages."""
+    return f"ask: {action}" if isinstance(action, Question) else ", ".join(action) or nothing
 
 
 def plain(transition: Any) -> Any:
@@ -227,10 +207,10 @@ class Session:
             InputError: all known transitions are labelled.
         """
         talk = self._talk
-        if talk.state.open is None and talk.state.new is None and not self.finished:
-            self._decide(asking=True)
-        if talk.state.open is not None:
-            return talk.problem.questions.question(talk.state.open)
+        if talk.state.pending is None and not self.finished:
+            talk.hear(talk.decide())
+        if isinstance(talk.state.pending, AskQuestion):
+            return talk.problem.questions.question(talk.state.pending.question)
         return Show(self.messages(), self.shown)
 
     def ask(self, number: int) -> None:
@@ -245,7 +225,7 @@ class Session:
         self._check_step_is_open("question", number)
         if self._talk.state.visible.asked >> number & 1:
             raise InputError("question", number, "a question that was not asked yet")
-        self._talk.hear(QuestionAsked(number))
+        self._talk.hear(AskQuestion(number))
 
     def answer(self, answer: int) -> None:
         """Takes the user's answer to the question of :meth:`next`: 1 (or True) for yes, or for the
@@ -254,7 +234,7 @@ class Session:
         Raises:
             InputError: another answer, or no question was asked.
         """
-        if self._talk.state.open is None:
+        if not isinstance(self._talk.state.pending, AskQuestion):
             raise InputError("answer", answer, "a question comes first: next()")
         self._talk.hear(QuestionAnswered(int(one_of("answer", answer, (0, 1)))))
 
@@ -266,11 +246,11 @@ class Session:
         Raises:
             InputError: all known transitions are labelled.
         """
-        if self._talk.state.new is None:
+        if not self._has_decided:
             if self.finished:
                 raise InputError("session", len(self.trace), "is finished; extend the trace first")
-            self._decide(asking=False)
-        return self._name_messages(self._talk.state.new or 0)
+            self._talk.hear(self._talk.decide(asking=False))
+        return self._name_messages(self._talk.said[-1])
 
     def tell(self, names: Sequence[str]) -> None:
         """Gives these messages at this step, independent of the plan.
@@ -280,11 +260,7 @@ class Session:
                 before and cannot be repeated.
         """
         self._check_step_is_open("session", tuple(names))
-        new = mask_of(names, self._talk.problem.message_names, "session")
-        if new & ~self._talk.problem.may_give(self._talk.state.visible.given):
-            wanted = f"messages that may be said after {self.said}"
-            raise InputError("session", tuple(names), wanted)
-        self._talk.hear(MessagesGiven(new))
+        self._talk.hear(give(mask_of(names, self._talk.problem.message_names, "session")))
 
     def observe(self, labels: ArrayLike) -> None:
         """Takes the user's labels of the first ``shown`` transitions, 1 = explicable.
@@ -293,7 +269,7 @@ class Session:
             InputError: another number of labels, labels other than 0 and 1, or the messages of this
                 step were not decided before.
         """
-        if self._talk.state.new is None:
+        if not self._has_decided:
             raise InputError("labels", labels, "messages() comes first")
         given = np.asarray(labels)
         if given.shape != (self.shown,) or not np.isin(given, (0, 1)).all():
@@ -307,30 +283,20 @@ class Session:
         Raises:
             InputError: there is no decision yet.
         """
-        events, questions = self._talk.events, self._talk.problem.questions
-        decided = [
-            i for i, event in enumerate(events) if isinstance(event, QuestionAsked | MessagesGiven)
-        ]
+        events = self._talk.events
+        decided = [(i, event) for i, event in enumerate(events) if isinstance(event, Action)]
         if not decided:
             raise InputError("session", 0, "messages() comes first")
-        before, event = self._talk.at(decided[-1]), events[decided[-1]]
-        messages, asked = dict[tuple[str, ...], float](), list[tuple[Question, float]]()
-        for action, value in sorted(before.values().items(), key=lambda item: -item[1]):
-            match action:
-                case AskQuestion(question):
-                    asked.append((questions.question(question), value))
-                case _:
-                    messages[self._name_messages(messages_of(action))] = value
-        visible = before.state.visible
+        count, chosen = decided[-1]
+        before = self._talk.at(count)
+        ranked = sorted(before.values().items(), key=lambda item: -item[1])
         return Why(
-            step=visible.step,
-            given=self._name_messages(visible.given),
+            step=before.state.visible.step,
+            given=self._name_messages(before.state.visible.given),
             belief=self._name_types(before.state.belief),
             fit=before.problem.fit(before.state.belief),
-            chosen=self._name_messages(event.messages) if isinstance(event, MessagesGiven) else (),
-            values=messages,
-            asked=questions.question(event.question) if isinstance(event, QuestionAsked) else None,
-            questions=tuple(asked),
+            chosen=self._name_action(chosen),
+            values={self._name_action(action): value for action, value in ranked},
         )
 
     def take_up(self, events: Sequence[tuple[str, Any]]) -> None:
@@ -360,11 +326,6 @@ class Session:
             InputError: JSON cannot represent a transition.
         """
         talk = self._talk
-        contents = [
-            self._name_messages(e.messages) if isinstance(e, MessagesGiven) else e[0]
-            for e in talk.events
-        ]
-        kinds = [KINDS[type(event)] for event in talk.events]
         state = {
             "format": FORMAT,
             "messages": talk.problem.message_names,
@@ -372,7 +333,7 @@ class Session:
             "trace": self.trace,
             "expected_steps": self._expected_steps,
             "clips": [[clip.transition, clip.text, clip.right] for clip in self._clips],
-            "events": list(zip(kinds, contents, strict=True)),
+            "events": [self._name_event(event) for event in talk.events],
         }
         try:
             return json.dumps(state)
@@ -380,18 +341,14 @@ class Session:
             first = [*self.trace, *(clip.transition for clip in self._clips)][0]
             raise InputError("trace", first, f"transitions that JSON allows ({error})") from None
 
-    def _decide(self, asking: bool) -> None:
-        """Lets the policy choose the next action, and adds the action to the dialogue's events. If
-        ``asking`` is False, the action is not a question."""
-        match self._talk.decide(asking):
-            case AskQuestion(question):
-                self._talk.hear(QuestionAsked(question))
-            case action:
-                self._talk.hear(MessagesGiven(messages_of(action)))
+    @property
+    def _has_decided(self) -> bool:
+        """True if this step's messages are decided, and its labels are not known yet."""
+        return isinstance(self._talk.state.pending, Explain | GiveMessages)
 
     def _check_step_is_open(self, key: str, value: object) -> None:
         """Raises InputError if this step's messages were given, or the trace is at its end."""
-        if self._talk.state.new is not None or self.finished:
+        if self._has_decided or self.finished:
             raise InputError(key, value, "only once at each step, before messages()")
 
     def _name_types(self, belief: NDArray[np.float64]) -> dict[str, float]:
@@ -400,3 +357,20 @@ class Session:
 
     def _name_messages(self, mask: int) -> tuple[str, ...]:
         return names_of(mask, self._talk.problem.message_names)
+
+    def _name_action(self, action: Action) -> NamedAction:
+        if isinstance(action, AskQuestion):
+            return self._talk.problem.questions.question(action.question)
+        return self._name_messages(messages_of(action))
+
+    def _name_event(self, event: Event) -> tuple[str, Any]:
+        """Returns the name of the method that adds this event, and the argument of the method."""
+        match event:
+            case AskQuestion(question):
+                return "ask", question
+            case QuestionAnswered(answer):
+                return "answer", answer
+            case StepLabelled(labels):
+                return "observe", labels
+            case _:
+                return "tell", self._name_messages(messages_of(event))

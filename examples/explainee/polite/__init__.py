@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain import InputError, LabelTable, Reaction, SimulatedUser, stream
-from xplain.interaction.explainees import Explainee, Person
+from xplain import InputError, SimulatedUser, stream
+from xplain.interaction.explainees import Explainee
 
 
 @dataclass(frozen=True)
@@ -22,20 +22,14 @@ class Polite(Explainee):
         if not 0 <= self.politeness <= 1:
             raise InputError("explainee.politeness", self.politeness, "a probability in [0, 1]")
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """Makes a person who calls some transitions, and all of their copies, explicable."""
-        drawn = stream(seed, "polite").random(len(same))[same]
-        return _Silent(SimulatedUser(labels), drawn < self.politeness)
-
-
-@dataclass(frozen=True)
-class _Silent(Person):
-    user: SimulatedUser
-    about: NDArray[np.bool_]
-
-    def hear(self, new: int) -> None:
-        """Does nothing, because ``given`` says which messages the person knows."""
-
-    def react(self, given: int, count: int) -> Reaction:
-        thoughts = self.user.labels(count, given)
-        return Reaction(thoughts, thoughts | self.about[:count].astype(np.uint8))
+    def say(
+        self,
+        user: SimulatedUser,
+        thoughts: NDArray[np.uint8],
+        rows: NDArray[np.int64],
+        given: int,
+        *when: int | str,
+    ) -> NDArray[np.uint8]:
+        """Returns answers that call some transitions, and all of their copies, explicable."""
+        drawn = stream(user.seed, "polite").random(len(user.same))[user.same[rows]]
+        return thoughts | (drawn < self.politeness)

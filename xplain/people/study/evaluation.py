@@ -18,9 +18,7 @@ from xplain.explanation.message_sets import indices
 from xplain.interaction.dialogue import (
     Dialogue,
     DialogueState,
-    MessagesGiven,
     QuestionAnswered,
-    QuestionAsked,
     StepLabelled,
 )
 from xplain.people import flow as core
@@ -154,13 +152,12 @@ class ExplanationFlow(Flow[StudyPlan, StudyState]):
             if one.told == len(state.heard) and (one.step == state.step or not forgets)
         ]
         asked = bitmask(one.question for one in state.asked)
+        repeats = state.previous is not None and not state.new and not forgets
+        labelled = np.arange(problem.n_steps) < (state.step if repeats else 0)
+        known = labelled | problem.questions.shows[same].any(axis=0)
         talk = Dialogue(problem, self.policies[condition], self.belief)
-        talk.state = DialogueState(
-            VisibleState(state.step, state.given, asked),
-            np.array(state.belief),
-            repeats=state.previous is not None and not state.new and not forgets,
-            clips=bitmask(same),
-        )
+        visible = VisibleState(state.step, state.given, asked)
+        talk.state = DialogueState(visible, np.array(state.belief), known)
         return talk
 
     def next_step(self, state: StudyState) -> StudyState:
@@ -179,7 +176,7 @@ class ExplanationFlow(Flow[StudyPlan, StudyState]):
             one = AskedQuestion(state.step, action.question, len(state.heard), worth, belief)
             return state.to(stage="asking", asked=(*state.asked, one))
         new = messages_of(action)
-        talk.hear(MessagesGiven(new))
+        talk.hear(action)
         shown = {str(int(mask)): value for mask, value in said.items()}
         return state.to(
             stage="evaluation",
@@ -280,7 +277,7 @@ class ClipQuestion(OneLabel["ExplanationFlow", StudyState]):
         evidence."""
         label, talk = self.label(flow, payload), flow.talk(state)
         if label != CANNOT_TELL:
-            talk.hear(QuestionAsked(state.asked[-1].question), QuestionAnswered(label))
+            talk.hear(AskQuestion(state.asked[-1].question), QuestionAnswered(label))
         belief = tuple(talk.state.belief.tolist())
         answered = replace(state.asked[-1], answer=label, after=flow.of_types(belief))
         return flow.next_step(replace(state, belief=belief, asked=(*state.asked[:-1], answered)))
