@@ -45,7 +45,6 @@ from xplain.interaction.explainees import (
     Heedless,
     LearnsUntold,
     Misreads,
-    Person,
     SimulatedUser,
     Slips,
     Sticky,
@@ -286,7 +285,7 @@ class AskedPeople:
         reachable = setting.reachable
         place = {tuple(row): i for i, row in enumerate(reachable.tolist())}
         labels, each = setting.true_labels(reachable), len(sizes) // len(setting.types)
-        people: list[Person] = []
+        people: list[SimulatedUser] = []
         for o in range(len(sizes)):
             own = labels.of_types([o // each]), np.arange(len(place))
             people.append(self.kind.meet(*own, derive_seed(self.seed, "observer", o)))
@@ -298,9 +297,8 @@ class AskedPeople:
             error = answer(o, transitions, told) ^ setting.labels(o // each, transitions, told)
             person, said = people[o], before[o]
             for row, given in zip(transitions.tolist(), told.tolist(), strict=True):
-                assert isinstance(person, SimulatedUser)
                 person.step = len(said)
-                person.knows = None if person.knows is None else 0  # messages are given again
+                person.knows = 0  # messages are given again
                 person.hear(given)
                 said.append(person.answer(place[tuple(row)], given))
                 repeats = stream(person.seed, "repeats", len(said)).random()
