@@ -24,7 +24,7 @@ from omegaconf import DictConfig
 from xplain.experiment.config import CONF, register
 from xplain.experiment.experiment import Experiment
 from xplain.runs.job import run_batch, save_batch
-from xplain.runs.plan import Plan
+from xplain.runs.plan import Plan, parse
 
 MOST = 0.3
 """The maximum of CPU seconds that a job should cost beyond its method."""
@@ -53,7 +53,7 @@ def main() -> None:
         words = [f"lambda={','.join(map(str, trade_offs))}", "solver=qmdp", *small]
         with stage("plan of the sweep"):
             config = load([f"outputs='{outputs}'"])
-            plan = Plan.of(config, words, {}, lambda own: load([f"outputs='{outputs}'", *own]))
+            plan = Plan.of(config, parse(words), lambda own: load([f"outputs='{outputs}'", *own]))
             batches = plan.batches()
         (outputs / "batches").mkdir(exist_ok=True)
         for number, batch in enumerate(batches):

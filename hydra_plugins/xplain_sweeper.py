@@ -43,17 +43,16 @@ class XplainSweeper(Sweeper):
             config=config,
         )
 
-    def sweep(self, arguments: list[str]) -> Any:
-        """Runs the jobs without a result. Returns the launcher's result, or None."""
+    def sweep(self, arguments: list[str]) -> None:
+        """Runs the jobs without a result."""
         from xplain.errors import quote
-        from xplain.runs.plan import Plan
-        from xplain.runs.signals import end_on_signals
-        from xplain.runs.sweep import run_missing
+        from xplain.runs.plan import Plan, parse
+        from xplain.runs.sweep import end_on_signals, run_missing
 
         config = self.config
         assert config is not None  # Hydra has called setup
         end_on_signals()
-        plan = Plan.of(config, arguments, {}, self._compose)
+        plan = Plan.of(config, parse(arguments), self._compose)
         escaped = config.hydra.sweep.dir = str(plan.folder.path).replace("${", r"\${")
 
         def launch(batches: Sequence[Path]) -> Any:
@@ -67,4 +66,4 @@ class XplainSweeper(Sweeper):
             words = [quote(str(path).replace("${", r"\${")) for path in batches]
             return self._launcher().launch([[*own, f"++batch={one}"] for one in words], 0)
 
-        return run_missing(plan, launch)
+        run_missing(plan, launch)

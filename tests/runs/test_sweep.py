@@ -121,7 +121,7 @@ def test_many_jobs_are_batches_each_of_one_data_set(tmp_path):
             for number in range(trade_offs)
         }
         config = OmegaConf.create({"hydra": {"launcher": launcher}})
-        plan = Plan(SweepFolder(tmp_path), (), jobs, frozenset(), config, {})
+        plan = Plan(SweepFolder(tmp_path), (), jobs, {}, config, {})
         return [*jobs.values()], plan.batches()
 
     cases = itertools.product(((2, 3), (7, 50), (MANY, 30)), ({}, {"n_jobs": 2}))

@@ -10,6 +10,7 @@ See docs/python.md.
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 import tempfile
@@ -25,8 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from hydra import compose, initialize_config_dir
-from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from hydra.utils import instantiate
 from joblib import Parallel, delayed
@@ -37,12 +37,11 @@ from yaml import YAMLError
 
 from xplain.errors import InputError, XplainError, one_of
 from xplain.experiment.config import (
-    CONF,
     GROUPS,
     PYTHON,
+    compose_config,
     did_you_mean,
     one_line,
-    register,
     require_names,
     search_path,
 )
@@ -55,7 +54,7 @@ from xplain.report.frame import TITLES, Summary, warning_about_oracle
 from xplain.report.stages import Stages
 from xplain.runs.job import Job, run_alone, run_batch
 from xplain.runs.labels import Discovery, discovery, require_writable
-from xplain.runs.plan import Compose, Plan, set_values
+from xplain.runs.plan import Compose, Plan, compose_values, make_override, parse
 from xplain.runs.sweep import finish, run_missing
 
 if TYPE_CHECKING:
@@ -178,9 +177,9 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
     Raises:
         XplainError: a key or value is not allowed; the text is one line.
     """
-    with _compose_request(overrides, keys, config_dir) as (words, given, composed):
-        cfg = composed(words)
-        job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, _require_single(given)))
+    with _open_request(overrides, keys, config_dir) as (_, axes, compose):
+        cfg = _compose_single(axes, compose)
+        job = Job.of(cfg, cfg.hydra.runtime.choices)
         _require_runnable([job], cfg)
         folder = Path(cfg.hydra.run.dir).absolute()
         run_alone(job, folder, instantiate(cfg.tracking), Stages(), shown=False)
@@ -200,20 +199,18 @@ def sweep(
     Raises:
         XplainError: a key or value is not allowed, and no job was run; the text is one line.
     """
-    with _compose_request(overrides, keys, config_dir) as (words, given, composed):
+    with _open_request(overrides, keys, config_dir) as (words, axes, compose):
         began = time.time()
-        parsed = OverridesParser.create().parse_overrides(words)
-        single = [str(one.input_line) for one in parsed if not one.is_sweep_override()]
-        config = composed(single)
+        single = [own[0] for own in axes.values() if len(own) == 1]
+        config = compose_values(compose, single)
         config.hydra.overrides.task = words  # with the swept overrides
-        set_values(config, {key: values[0] for key, values in given.items() if len(values) == 1})
-        where = [one for one in single if one.startswith("hydra")]
-        task = [one for one in words if one not in where]
-        plan = Plan.of(config, task, given, lambda own: composed([*where, *own]))
+        where = [str(one.input_line) for one in single if one.is_hydra_override()]
+        swept = {key: own for key, own in axes.items() if not key.startswith("hydra")}
+        plan = Plan.of(config, swept, lambda own: compose([*where, *own]))
         _require_runnable(plan.todo.values(), config)
         workers = config.hydra.launcher.get("n_jobs", 1)
         for key in GROUPS if workers != 1 else ():
-            for value in given.get(key, ()):
+            for value in (one.value() for one in axes.get(key, ())):
                 if isinstance(value, dict) and value["_target_"].startswith("__main__."):
                     allowed = "a component from a file that the workers can import (or n_jobs=1)"
                     raise InputError(key, value["_target_"], allowed)
@@ -243,14 +240,13 @@ def discover(
     Raises:
         XplainError: a table, key or value is not allowed; the text is one line.
     """
-    known = _compose_request(overrides, keys, config_dir, "discover")
-    with known as (words, given, composed), tempfile.TemporaryDirectory() as place:
+    request = _open_request(overrides, keys, config_dir, "discover")
+    with request as (_, axes, compose), tempfile.TemporaryDirectory() as place:
         if isinstance(data, pd.DataFrame):
             frame, data = data, Path(place) / "labels.csv"
             frame.to_csv(data, index=False)
-        cfg = composed(words)
-        set_values(cfg, {"data": str(data), **_require_single(given)})
-        folder = Path(cfg.output) if "output" in given else None
+        cfg = _compose_single(axes | {"data": [make_override("data", str(data))]}, compose)
+        folder = Path(cfg.output) if "output" in axes else None
         if folder is not None:
             require_writable(folder)
         found = discovery(cfg)
@@ -276,22 +272,18 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
 _ONE_AT_A_TIME = threading.RLock()
 """A lock, because Hydra's composition uses global variables."""
 
-CompositionRequest = tuple[list[str], dict[str, list[Any]], Compose]
-"""Overrides, values from Python by key, and Hydra's composition."""
+Request = tuple[list[str], dict[str, list[Override]], Compose]
+"""The overrides of a call; the values of each key, including the keywords; and Hydra's
+composition."""
 
 
 @contextmanager
-def _compose_request(
+def _open_request(
     overrides: Sequence[str], keys: Mapping[str, Any], config_dir: str | None, of: str = "config"
-) -> Iterator[CompositionRequest]:
+) -> Iterator[Request]:
     """Opens a context in which a function of this module composes configurations. An error in the
     ``with`` block that the caller can correct is raised as an XplainError with a text of one line.
-    Progress is logged to standard error, unless the program configures logging itself.
-
-    Yields:
-        The overrides; ``{key: Python values}`` of the other keywords (:func:`_split`); and a
-        function that composes a configuration from overrides.
-    """
+    Progress is logged to standard error, unless the program configures logging itself."""
     own = logging.getLogger("xplain")
     quiet, level = bool(logging.getLogger().handlers or own.handlers), own.level
     handler = logging.NullHandler() if quiet else logging.StreamHandler(sys.stderr)
@@ -301,17 +293,14 @@ def _compose_request(
             own.addHandler(handler)
             own.setLevel(level if quiet else logging.INFO)
             where = search_path("config_dir", config_dir)
-            register()
-            with initialize_config_dir(str(CONF), version_base="1.3"):
-                known = [*map(str, compose(of, where)), "sweeps", "hydra"]
-                words, given = _split(keys, known)
-                words = [*overrides, *words]
-                require_names(words)
-                yield (
-                    words,
-                    given,
-                    lambda own: compose(of, [*where, *own], return_hydra_config=True),
-                )
+
+            def compose(words: list[str]) -> DictConfig:
+                return compose_config(of, [*where, *words], with_hydra=True)
+
+            words, given = _read_keywords(keys, [*map(str, compose([])), "sweeps"])
+            words = [*overrides, *words]
+            require_names(words)
+            yield words, parse(words) | given, compose
         except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
             text = one_line(error)
             if text is None:
@@ -331,35 +320,38 @@ def _require_runnable(jobs: Iterable[Job], cfg: DictConfig) -> None:
         require_as_loaded(job.config)
 
 
-def _require_single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
-    """Returns the value of each key.
+def _compose_single(axes: Mapping[str, Sequence[Override]], compose: Compose) -> DictConfig:
+    """Composes the configuration of a call that allows one value of each key.
 
     Raises:
         InputError: a key has several values.
     """
-    for key, values in given.items():
-        if len(values) > 1:
+    for key, own in axes.items():
+        if len(own) > 1:
+            values = [one.value() for one in own]
             raise InputError(key, values, "one value; xplain.sweep accepts several values")
-    return {key: value for key, (value,) in given.items()}
+    return compose_values(compose, [one for own in axes.values() for one in own])
 
 
-def _split(keys: Mapping[str, Any], known: Sequence[str]) -> tuple[list[str], dict[str, list[Any]]]:
-    """Splits the keywords of a call.
+def _read_keywords(
+    keys: Mapping[str, Any], known: Sequence[str]
+) -> tuple[list[str], dict[str, list[Override]]]:
+    """Reads the keywords of a call.
 
     Returns:
         Overrides that choose components by their names, such as ``solver=qmdp``; and for all other
-        keywords ``{configuration key: list of Python values}``.
+        keywords the values of each configuration key.
     """
-    words, given = list[str](), dict[str, list[Any]]()
+    words, given = list[str](), dict[str, list[Override]]()
     for name, own in keys.items():
         key = _find_key(name, known)
-        value = own.tolist() if isinstance(own, np.ndarray | np.generic) else own
-        several = list(value) if isinstance(value, list | tuple | range) else [value]
+        value = _make_plain(key, own)
+        several = value if isinstance(value, list) else [value]
         groups = (*GROUPS, "tracking", "sweeps")
         if key in groups and all(isinstance(one, str | None) for one in several):
             words.append(f"{key}={','.join('null' if one is None else one for one in several)}")
         else:
-            given[key] = [_make_plain(key, one) for one in several]
+            given[key] = [make_override(key, one) for one in several]
     return words, given
 
 
@@ -383,26 +375,23 @@ def _make_plain(key: str, value: Any) -> Any:
     Raises:
         InputError: the class of an object cannot be found by its name.
     """
-    if isinstance(value, np.generic | np.ndarray):
-        value = value.tolist()
-    if value is None or isinstance(value, str | bool | int | float):
-        return value
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, Mapping):
-        return {str(name): _make_plain(key, own) for name, own in value.items()}
-    if isinstance(value, Sequence):
-        return [_make_plain(key, own) for own in value]
-    from sklearn.base import BaseEstimator
 
-    kind = type(value)
-    path = f"{kind.__module__}.{kind.__qualname__}"
-    known: Mapping[str, Any] | None = None
-    if isinstance(value, BaseEstimator):
-        known = value.get_params(deep=False)
-    elif is_dataclass(value):
-        known = {one.name: getattr(value, one.name) for one in fields(value) if one.init}
-    if known is None or locate(path) is not kind:
+    def describe(own: Any) -> Any:  # what JSON has no form for
+        if isinstance(own, np.generic | np.ndarray):
+            return own.tolist()
+        if isinstance(own, Path):
+            return str(own)
+        if isinstance(own, Sequence):
+            return list(own)
+        if isinstance(own, Mapping):
+            return dict(own)
+        path = f"{type(own).__module__}.{type(own).__qualname__}"
+        if locate(path) is type(own) and is_dataclass(own):
+            given = {one.name: getattr(own, one.name) for one in fields(own) if one.init}
+            return {"_target_": path, **given}
+        if locate(path) is type(own) and hasattr(own, "get_params"):  # a model of scikit-learn
+            return {"_target_": path, **own.get_params(deep=False)}
         allowed = "a name, or an object of a dataclass at the top level of a module or script"
-        raise InputError(key, value, allowed)
-    return {"_target_": path, **{name: _make_plain(key, own) for name, own in known.items()}}
+        raise InputError(key, own, allowed)
+
+    return json.loads(json.dumps(value, default=describe))

@@ -6,7 +6,8 @@ Slow imports happen only after the configuration is checked.
 import os
 import sys
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,52 +33,37 @@ def job(cfg: DictConfig) -> float | None:
         run_batch(Path(cfg.batch))
         return None
     own = HydraConfig.get()
-    if own.mode != RunMode.RUN:
-        return _run_in_sweep(cfg, own)
-    with report_errors():
-        return _run_single(cfg, own)
-
-
-def _run_single(cfg: DictConfig, own: Any) -> float | None:
-    from xplain.report.stages import Stages
-
-    progress = Stages()
-    folder = Path(own.runtime.output_dir)
+    is_single = own.mode == RunMode.RUN
     try:
-        with leave_at_once():
-            from xplain.runs.job import Job, run_alone
-        made = Job.of(cfg, own.runtime.choices)
-        if cfg.dry_run:
-            _check_job(made)
-            return None
-        return run_alone(made, folder, instantiate(cfg.tracking), progress).regret
+        # The errors of a sweep's job are its sweeper's.
+        with report_errors() if is_single else nullcontext():
+            return _run_job(cfg, own, is_single)
     finally:
         # A folder with this run's random token belongs to no other run.
-        if "${unique:}" in OmegaConf.to_yaml(own.run):
+        if is_single and "${unique:}" in OmegaConf.to_yaml(own.run):
             with suppress(OSError):  # the folder is not empty
-                folder.rmdir()
+                Path(own.runtime.output_dir).rmdir()
 
 
-def _run_in_sweep(cfg: DictConfig, own: Any) -> float | None:
-    """Runs a job of a sweeper that is not xplain's."""
-    from xplain.runs.job import Job, run_in_sweep
-    from xplain.runs.sweep import list_job
-
+def _run_job(cfg: DictConfig, own: Any, is_single: bool) -> float | None:
+    """Runs a single job, or a job of a sweeper that is not xplain's. With ``dry_run=true`` it is
+    only checked."""
+    with leave_at_once():
+        from xplain.experiment.from_config import check
+        from xplain.report.stages import Stages
+        from xplain.runs.job import Job, run_alone, run_in_sweep
+        from xplain.runs.sweep import list_job
     made = Job.of(cfg, own.runtime.choices)
     if cfg.dry_run:
-        _check_job(made)
+        check([made.config])
+        print("1 job" + (", done" if made.find_result() else ""))
         return None
+    if is_single:
+        folder = Path(own.runtime.output_dir)
+        return run_alone(made, folder, instantiate(cfg.tracking), Stages()).regret
     folder = Path(own.sweep.dir).absolute() / "jobs" / made.fingerprint
     list_job(made, own.overrides.task, folder)
     return run_in_sweep(made, folder, made.fingerprint)
-
-
-def _check_job(made: Any) -> None:
-    """Checks one job, for ``dry_run=true``."""
-    from xplain.experiment.from_config import check
-
-    check([made.config])
-    print("1 job" + (", done" if made.find_result() else ""))
 
 
 class SweepEnd(Callback):
@@ -95,11 +81,8 @@ class SweepEnd(Callback):
         if folder is None:
             return
         outputs = Path(config.outputs).absolute()
-
-        def tell(text: str) -> None:
-            # After a launcher in this process, logging writes to the last job's file.
-            print(text, file=sys.stderr)
-
+        # After a launcher in this process, logging writes to the last job's file.
+        tell = partial(print, file=sys.stderr)
         if not finish(folder, instantiate(config.tracking), outputs, self._began, tell):
             sys.exit(1)
 

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import json
 import logging
+import multiprocessing
 import os
-import shutil
 import socket
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,6 @@ from xplain.experiment.results import (
 from xplain.report.folder import FAILURE
 from xplain.report.terminal import print_certificates, print_summary
 from xplain.runs.folder import Disk, attempt
-from xplain.runs.signals import end_with_parent
 from xplain.storage import write_text
 
 log = logging.getLogger(__name__)
@@ -117,6 +117,7 @@ class Job:
         """
         if (known := self.find_result()) is not None:
             log.info("the result exists already: %s", os.path.relpath(self.address))
+            save(known, (self.address / EPISODES).read_text(encoding="utf-8"))
             return known
         started, begun = time.time(), time.perf_counter()
         experiment = experiment_of(self.config)
@@ -156,10 +157,14 @@ class Job:
             seconds = {**results.seconds, "bounds": time.perf_counter() - explained}
             made = "made" if bounds else "failed"
             results = replace(results, bounds=bounds, certificates=made, seconds=seconds)
-        self.address.mkdir(parents=True, exist_ok=True)
-        write_text(self.address / EPISODES, episodes)
-        save_results(self.address, results)
+        _save(self.address, results, episodes)
         return results
+
+
+def _save(folder: Path, results: Results, episodes: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / EPISODES, episodes)
+    save_results(folder, results)
 
 
 def run_alone(
@@ -183,12 +188,7 @@ def run_alone(
         raise InputError("hydra.run.dir", os.path.relpath(folder), allowed)
 
     def save(results: Results, episodes: str) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / EPISODES, episodes)
-        save_results(folder, results)
-        show(results)
-
-    def show(results: Results) -> None:
+        _save(folder, results, episodes)
         if shown:
             with attempt("the summary was not printed"):
                 print_summary(results)
@@ -197,24 +197,18 @@ def run_alone(
         results = job.result(progress, save)
     except SystemExit as error:
         raise XplainError(name_ending(error)) from error
-    if not (folder / RESULTS).exists():
-        show(results)
-    folder.mkdir(parents=True, exist_ok=True)
+    save_results(folder, results)  # with the certificates
     write_text(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(dict(job.config))))
-    for path in job.address.iterdir():
-        shutil.copy2(path, folder)
     if shown:
         with attempt("the certificates were not printed"):
             print_certificates(results.bounds)
     drawn = ""
     with progress.stage("drawing one explanation"), attempt("there is no picture"):
-        drawn = _draw_pictures(folder, results)
+        drawn = f"  trace.png is one explanation: {_draw_pictures(folder, results)}"
     with progress.stage("sending the run to MLflow"):
         lines = tracking.log(folder, Path(job.outputs))
-    log.info("folder: %s", os.path.relpath(folder))
-    if drawn:
-        log.info("  trace.png is one explanation: %s", drawn)
-    for line in ("  results.json has all figures", *lines):
+    where = f"folder: {os.path.relpath(folder)}"
+    for line in filter(None, (where, drawn, "  results.json has all figures", *lines)):
         log.info(line)
     return results
 
@@ -230,6 +224,26 @@ def run_batch(path: Path) -> None:
     end_with_parent()
     for listed, content in json.loads(path.read_text(encoding="utf-8")).items():
         run_in_sweep(Job(**content), path.parents[1] / "jobs" / listed, listed)
+
+
+@cache
+def end_with_parent() -> None:
+    """Ends this joblib worker when the process that started it ends. Call it once in a worker.
+
+    Otherwise the workers of a sweep that was killed with ``kill -9`` continue beside the workers of
+    the restarted sweep, and then wait for minutes. Workers on clusters are ended by their
+    scheduler.
+    """
+    if not multiprocessing.current_process().name.startswith("LokyProcess"):
+        return
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:

@@ -12,6 +12,7 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,11 @@ logged metric, so they are logged in alphabetical order."""
 MEASURES = {"regret": "regret", "above_floor": "regret_to_clairvoyant", "cost": "solver/cost"}
 """MLflow's names of the measures that compare the jobs of a sweep."""
 
+Texts = Mapping[str, str]
+Ended = tuple[Path, str, tuple[int, int], str, Texts, Mapping[str, float], Texts]
+"""An ended job: the folder with its files, its status, its start and end in milliseconds since
+1970, its name, tags, metrics and parameters."""
+
 LEARNED = ("adjusted_rand_index", "labeler_accuracy")
 
 
@@ -70,8 +76,8 @@ class MLflow(Disk):
         try:
             return self.send(folder, outputs)
         except XplainError as error:
-            said = "%s. The results are safe; send them later with: python -m xplain sync %s"
-            log.warning(said, error, folder)
+            safe = "The results are safe; send them later with: python -m xplain sync"
+            log.warning("%s. %s %s", error, safe, folder)
             return []
 
     def send(self, folder: Path, outputs: Path) -> list[str]:
@@ -83,43 +89,41 @@ class MLflow(Disk):
         Raises:
             XplainError: MLflow fails, or the experiment was deleted there.
         """
+        outputs.mkdir(parents=True, exist_ok=True)
+        own = outputs.resolve() / "mlflow.db"
+        uri = self.uri or f"sqlite:///{own}"
+        served = uri.startswith("http")
         try:
-            return [without_passwords(line) for line in self._send_folder(folder, outputs)]
+            with FileLock(outputs / "mlflow.lock"):
+                if self.uri is None and not own.exists():
+                    _make_database(own)
+                client = MlflowClient(uri)
+                found = client.get_experiment_by_name(self.experiment)
+                if found is not None and found.lifecycle_stage == "deleted":
+                    allowed = (
+                        "an experiment that is not deleted; restore it in MLflow or name another"
+                    )
+                    raise InputError("tracking.experiment", self.experiment, allowed)
+                artifacts = None if served else (outputs.resolve() / "artifacts").as_uri()
+                experiment = (
+                    found.experiment_id
+                    if found
+                    else client.create_experiment(self.experiment, artifacts)
+                )
+            store = _Store(client, experiment)
+            is_sweep = (folder / SWEEP).exists()
+            shown = store.send_sweep(Summary(folder)) if is_sweep else store.send_single(folder)
         except XplainError:
             raise
         except Exception as error:  # MLflow passes on errors of SQLAlchemy, requests, the OS
             text = without_passwords(first_line(error))[:200]
             raise XplainError(f"tracking.uri: MLflow did not store the results ({text})") from error
-
-    def _send_folder(self, folder: Path, outputs: Path) -> list[str]:
-        outputs.mkdir(parents=True, exist_ok=True)
-        own = outputs.resolve() / "mlflow.db"
-        uri = self.uri or f"sqlite:///{own}"
-        served = uri.startswith("http")
-        with FileLock(outputs / "mlflow.lock"):
-            if self.uri is None and not own.exists():
-                _make_database(own)
-            client = MlflowClient(tracking_uri=uri)
-            found = client.get_experiment_by_name(self.experiment)
-            if found is not None and found.lifecycle_stage == "deleted":
-                allowed = "an experiment that was not deleted; restore it in MLflow or name another"
-                raise InputError("tracking.experiment", self.experiment, allowed)
-            artifacts = None if served else (outputs.resolve() / "artifacts").as_uri()
-            experiment = found.experiment_id if found else None
-            experiment = experiment or client.create_experiment(self.experiment, artifacts)
-        store = _Store(client, experiment)
-        if (folder / SWEEP).exists():
-            key = store.send_sweep(SweepFolder(folder))
-            shown = f"?workflowType=machine_learning&viewStateShareKey={key}"
-        else:
-            known = {"xplain.single": "yes"}
-            shown = "/" + store.send_result(folder, load_results(folder), "", {}, known)
         page = f"{uri.rstrip('/') if served else 'http://127.0.0.1:5000'}/#/experiments"
         lines = [f"MLflow: {page}/{experiment}/runs{shown}"]
         if not served:
-            place = f"sqlite:///{os.path.relpath(own)}" if self.uri is None else self.uri
+            place = self.uri or f"sqlite:///{os.path.relpath(own)}"
             lines.append(f"  start its server first: mlflow ui --backend-store-uri {place}")
-        return lines
+        return [without_passwords(line) for line in lines]
 
 
 def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
@@ -136,18 +140,16 @@ def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
         if not found:
             raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
         for path in found:
-            if not (path / SWEEP).exists():
-                tracking.send(path, outputs)
-                count += 1
-                continue
-            sweep = SweepFolder(path)
+            sweep, is_sweep = SweepFolder(path), (path / SWEEP).exists()
             try:
-                count += [sweep.state(job) for job in sweep.jobs].count("finished")
+                states = [sweep.state(job) for job in sweep.jobs] if is_sweep else ["finished"]
             except InputError as error:
                 log.warning("left out: %s", error)
                 continue
-            with alone(path, "the sweep is running; waiting for its end"):
+            waiting = "the sweep is running; waiting for its end"
+            with alone(path, waiting) if is_sweep else nullcontext():
                 tracking.send(path, outputs)
+            count += states.count("finished")
     return count
 
 
@@ -166,118 +168,82 @@ class _Store:
     client: MlflowClient
     experiment: str
 
-    def send_result(
-        self,
-        folder: Path,
-        results: Results,
-        label: str,
-        swept: Mapping[str, str],
-        known_by: Mapping[str, str],
-        among: Sequence[Run] | None = None,
-    ) -> str:
-        """Sends a result unless its run exists. Returns the id of the run.
+    def send_single(self, folder: Path) -> str:
+        """Sends the run in a folder. Returns the end of its address in MLflow."""
+        results = load_results(folder)
+        mark = {"xplain.single": "yes", RESULT_TAG: results.fingerprint}
+        (sent,) = self._replace(mark, [_ended(folder, results, results.name, {})])
+        return f"/{sent}"
 
-        Args:
-            folder, results: the finished run's folder and results.
-            label: label of the job in a sweep; "" for a single run.
-            swept: swept keys with this run's values.
-            known_by: tags that distinguish the run from other runs of the same result.
-            among: runs in MLflow that may be this run already; None searches for them.
-        """
-        end = results.started + sum(results.seconds.values())
-        times = int(1000 * results.started), int(1000 * end)
-        about = {
-            "mlflow.source.git.commit": results.git.get("commit", ""),
-            "xplain.rule": results.elbow.rule,
-            "xplain.warning": warning_about_oracle(results.learning, results.regret or 0),
-        }
-        found = sorted(figures(results).items())
-        metrics = [Metric(key, round(value, 4), times[1], 0) for key, value in found]
-        params = [Param(key, value) for key, value in parameters(results, swept).items()]
-        known_by = {RESULT_TAG: results.fingerprint, **known_by}
-        among = self._find_runs(known_by) if among is None else among
-        name, figured = label or results.name, (metrics, params)
-        return self._write_run(folder, name, "FINISHED", times, known_by, about, among, *figured)
-
-    def send_sweep(self, sweep: SweepFolder) -> str:
+    def send_sweep(self, summary: Summary) -> str:
         """Sends the ended jobs and the report of a sweep, and its view (:func:`view`). Returns the
-        key under which MLflow stores the view."""
-        summary, name = Summary(sweep.path), sweep.path.name
+        end of the view's address in MLflow."""
+        sweep, name = summary.folder, summary.folder.path.name
         began, now = int(1000 * summary.about["started"]), int(1000 * time.time())
         tags = {SWEEP_TAG: name, **SOURCE}
-        found = self._find_runs({SWEEP_TAG: name})
-        own = found[0] if found else self.client.create_run(self.experiment, began, tags, name)
-        parent = str(own.info.run_id)
+        own = self._find_runs({SWEEP_TAG: name})
+        own = own or [self.client.create_run(self.experiment, began, tags, name)]
+        parent = str(own[0].info.run_id)
         self.client.set_tag(parent, "mlflow.note.content", answer(summary))
-        children, states = (
-            self._find_runs({PARENT_TAG: parent}),
-            [sweep.state(j) for j in sweep.jobs],
-        )
-        for job, state in zip(sweep.jobs, states, strict=True):
-            known_by = {RESULT_TAG: job.fingerprint, PARENT_TAG: parent}
-            if state == "finished":
-                results = load_results(address := sweep.address(job))
-                self.send_result(address, results, job.label, job.values, known_by, children)
-            elif state == "failed":
-                at = int(1000 * ((folder := sweep.of(job)) / FAILURE).stat().st_mtime)
-                error = {"xplain.error": sweep.error(job)[:4000]}
-                self._write_run(folder, job.label, "FAILED", (at, at), known_by, error, children)
+        ended = [
+            _ended(sweep.address(job), results, job.label, job.values)
+            for job, results in summary.results
+        ]
+        failed = [job for job in sweep.jobs if sweep.state(job) == "failed"]
+        for job in failed:
+            at = int(1000 * (sweep.of(job) / FAILURE).stat().st_mtime)
+            tags = {RESULT_TAG: job.fingerprint, "xplain.error": sweep.error(job)[:4000]}
+            ended.append((sweep.of(job), "FAILED", (at, at), job.label, tags, {}, {}))
+        self._replace({PARENT_TAG: parent}, ended)
         if (report := sweep.path / "report").is_dir():
             self.client.log_artifacts(parent, str(report), "report")
-        ended = "FAILED" if "failed" in states else "KILLED" if "waiting" in states else "FINISHED"
-        self.client.set_terminated(parent, ended)
+        whole = "FINISHED" if len(ended) == len(sweep.jobs) else "KILLED"
+        self.client.set_terminated(parent, "FAILED" if failed else whole)
         # The form in which MLflow itself lists views, since 3.15.
-        shared = {"name": name, "createdAt": now, "updatedAt": now}
-        text = json.dumps({**shared, "state": json.dumps(view(parent, summary))})
+        state = json.dumps(view(parent, summary))
+        text = json.dumps({"name": name, "createdAt": now, "updatedAt": now, "state": state})
         key = name.rpartition("-")[2]
         self.client.set_experiment_tag(self.experiment, f"mlflow.sharedViewState.{key}", text)
-        return key
+        return f"?workflowType=machine_learning&viewStateShareKey={key}"
 
-    def _write_run(
-        self,
-        folder: Path,
-        name: str,
-        status: str,
-        times: tuple[int, int],
-        known_by: Mapping[str, str],
-        tags: Mapping[str, str],
-        among: Sequence[Run],
-        metrics: Sequence[Metric] = (),
-        params: Sequence[Param] = (),
-    ) -> str:
-        """Writes an ended run unless it exists. Returns its id. Existing runs that have the tags
-        ``known_by`` but another status or start come from earlier attempts or from interrupted
-        senders, and are deleted.
-
-        Args:
-            folder: folder whose files become the run's artifacts.
-            name, status: the run's name and status.
-            times: start and end of the run, in milliseconds since 1970.
-            known_by: tags that distinguish the run from all other runs.
-            tags: further tags.
-            among: runs in MLflow that may be this run already.
-            metrics, params: the run's metrics and parameters.
-        """
-        kept = None
-        for run in among:
-            if known_by.items() <= run.data.tags.items():
-                if kept is None and (run.info.status, run.info.start_time) == (status, times[0]):
-                    kept = str(run.info.run_id)
-                else:
-                    self.client.delete_run(run.info.run_id)
-        if kept is not None:
-            return kept
-        every = {**known_by, **tags, **SOURCE}
-        made = self.client.create_run(self.experiment, times[0], every, name)
-        self.client.log_batch(made.info.run_id, metrics, params)
-        self.client.log_artifacts(made.info.run_id, str(folder))
-        self.client.set_terminated(made.info.run_id, status, times[1])
-        return str(made.info.run_id)
+    def _replace(self, mark: Mapping[str, str], jobs: Sequence[Ended]) -> list[str]:
+        """Makes these jobs the only runs with the tags ``mark``. Returns their ids. A run with the
+        result, the status and the start of a job is kept. All other runs come from earlier attempts
+        or interrupted senders."""
+        known, sent = self._find_runs(mark), list[str]()
+        ids = {(r.data.tags.get(RESULT_TAG), r.info.status, r.info.start_time): r for r in known}
+        for folder, status, (began, ended), name, own, numbers, texts in jobs:
+            run = ids.get((own[RESULT_TAG], status, began))
+            if run is None:
+                tags = {**own, **mark, **SOURCE}
+                run = self.client.create_run(self.experiment, began, tags, name)
+                metrics = [Metric(*one, ended, 0) for one in sorted(numbers.items())]
+                params = [Param(*one) for one in texts.items()]
+                self.client.log_batch(run.info.run_id, metrics, params)
+                self.client.log_artifacts(run.info.run_id, str(folder))
+                self.client.set_terminated(run.info.run_id, status, ended)
+            sent.append(run.info.run_id)
+        for run in known:
+            if run.info.run_id not in sent:
+                self.client.delete_run(run.info.run_id)
+        return sent
 
     def _find_runs(self, tags: Mapping[str, str]) -> Sequence[Run]:
         """Finds the runs with these tags, without deleted runs."""
         wanted = " and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items())
         return self.client.search_runs([self.experiment], wanted, max_results=50_000)
+
+
+def _ended(folder: Path, results: Results, name: str, swept: Mapping[str, str]) -> Ended:
+    """Describes a finished job; ``swept`` has the swept keys with the job's values."""
+    began, end = results.started, results.started + sum(results.seconds.values())
+    tags = {
+        RESULT_TAG: results.fingerprint,
+        "mlflow.source.git.commit": results.git.get("commit", ""),
+        "xplain.warning": warning_about_oracle(results.learning, results.regret or 0),
+    }
+    figured = figures(results), parameters(results, swept)
+    return folder, "FINISHED", (int(1000 * began), int(1000 * end)), name, tags, *figured
 
 
 def figures(results: Results) -> dict[str, float]:
@@ -292,7 +258,7 @@ def figures(results: Results) -> dict[str, float]:
         **{f"types/{name}": results.learning.get(name) for name in LEARNED},
         "solver/seconds": sum(results.seconds.values()),
     }
-    return {name: value for name, value in every.items() if value is not None}
+    return {name: round(value, 4) for name, value in every.items() if value is not None}
 
 
 def parameters(results: Results, swept: Mapping[str, str]) -> dict[str, str]:

@@ -1,8 +1,7 @@
 """The jobs of a sweep, and the jobs that have to run.
 
-Jobs are planned in the same way for the command line and for Python. The command line gives
-overrides, which are text in Hydra's form. Python can also give values, such as numbers and lists;
-the plan uses these values as they are, and never converts them to text and back.
+Every value is an override of Hydra, with its key. A value from the command line has a text; a value
+from Python has none, because it is used as it is and never converted to text.
 """
 
 from __future__ import annotations
@@ -12,19 +11,19 @@ import itertools
 import json
 import logging
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Glob, Override
-from hydra.errors import ConfigCompositionException
+from hydra.core.override_parser.types import Glob, Override, OverrideType, ValueType
 from joblib import effective_n_jobs
 from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
 from xplain.errors import InputError, mapping
-from xplain.experiment.config import GROUPS, missing_key
+from xplain.experiment.config import GROUPS
 from xplain.experiment.from_config import check
 from xplain.report.folder import FAILURE, ListedJob, SweepFolder
 from xplain.runs.job import Job
@@ -39,8 +38,65 @@ unknown, there are MANY batches."""
 LAST = ("solver", "lambda", "seed")
 """Keys at the end of a job's label, so that labels sort by setting."""
 
+Axes = Mapping[str, Sequence[Override]]
+"""The values of each key."""
+
 Compose = Callable[[list[str]], DictConfig]
-"""Makes a job's configuration, with the ``hydra`` node, from overrides."""
+"""Makes a configuration, with the ``hydra`` node, from overrides."""
+
+
+def parse(words: Iterable[str]) -> dict[str, list[Override]]:
+    """Parses overrides, which may have several values (``choice``, ``range``, commas), to an
+    override for each value.
+
+    Raises:
+        InputError: an override has no finite list of values.
+        HydraException: an override cannot be read.
+    """
+    read, parsed = OverridesParser.create().parse_overrides, dict[str, list[Override]]()
+    for one in read([*words]):
+        key, several = one.get_key_element(), [one]
+        if one.is_sweep_override():
+            if not one.is_discrete_sweep() or isinstance(one.value(), Glob):
+                raise InputError(key, one.get_value_string(), "a list, choice(...) or range(...)")
+            several = read([f"{key}={text}" for text in one.sweep_string_iterator()])
+        parsed[key.lstrip("+~")] = several
+    return parsed
+
+
+def make_override(key: str, value: Any) -> Override:
+    """Makes an override from a value of Python. The name of a component becomes a text, because
+    Hydra composes the component."""
+    if key in GROUPS and isinstance(value, str):
+        return parse([f"{key}={value}"])[key][0]
+    return Override(OverrideType.CHANGE, key, ValueType.ELEMENT, value)
+
+
+def set_value(cfg: DictConfig, override: Override) -> None:
+    """Sets a value in a composed configuration. A component from Python gets the name of its class,
+    with a digest of its arguments.
+
+    Raises:
+        OmegaConfBaseException: the key does not exist, or does not accept the value.
+    """
+    key, value = override.key_or_group, override.value()
+    if key in GROUPS and isinstance(value, dict) and "_target_" in value:
+        digest = hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+        name = f"{str(value['_target_']).rpartition('.')[2]}_{digest[:4]}"
+        cfg.hydra.runtime.choices[key] = name
+        with open_dict(cfg):
+            cfg[key] = value
+    else:
+        OmegaConf.update(cfg, key, value)
+
+
+def compose_values(compose: Compose, overrides: Sequence[Override]) -> DictConfig:
+    """Composes a configuration from overrides with and without a text."""
+    cfg = compose([one.input_line for one in overrides if one.input_line])
+    for one in overrides:
+        if not one.input_line:
+            set_value(cfg, one)
+    return cfg
 
 
 @dataclass(frozen=True)
@@ -51,7 +107,7 @@ class Plan:
         folder: folder of the sweep.
         jobs: its list of jobs.
         todo: ``{fingerprint: job}`` of the jobs that have to run.
-        finished: fingerprints of the jobs with results.
+        finished: ``{fingerprint: seconds}`` of the jobs with results.
         config: configuration of the planning process, with the ``hydra`` node.
         about: contents of the sweep's file besides the jobs, such as the sweep's name.
     """
@@ -59,30 +115,22 @@ class Plan:
     folder: SweepFolder
     jobs: tuple[ListedJob, ...]
     todo: Mapping[str, Job]
-    finished: frozenset[str]
+    finished: Mapping[str, float]
     config: DictConfig
     about: Mapping[str, Any]
 
     @classmethod
-    def of(
-        cls,
-        config: DictConfig,
-        words: Sequence[str],
-        given: Mapping[str, Sequence[Any]],
-        compose: Compose,
-    ) -> Plan:
+    def of(cls, config: DictConfig, axes: Axes, compose: Compose) -> Plan:
         """Composes and checks every job, so that errors appear before the first job starts.
 
         Args:
             config: configuration of the planning process, with the ``hydra`` node.
-            words: overrides; an override may have several values (``choice``, ``range``, commas).
-            given: ``{key: Python values}``. The sweep has a job for each combination of these
-                values and the values in ``words``.
-            compose: composes a job's configuration from overrides.
+            axes: the values of each key. The sweep has a job for each combination.
+            compose: composes a job's configuration.
 
         Raises:
             XplainError, HydraException, OmegaConfBaseException: the configuration of a job is
-                wrong, or a sweep has no finite list of values.
+                wrong.
         """
         for word in config.hydra.overrides.hydra:
             key, _, value = word.lstrip("+").partition("=")
@@ -92,26 +140,18 @@ class Plan:
         keys: Any = OmegaConf.to_container(config.hydra.sweeper)
         params = mapping("hydra.sweeper.params", keys.get("params") or {}, "key: values")
         settings = [{**params, **setting} for setting in keys.get("settings") or [{}]]
-        composer = _Composer(compose, config.hydra.runtime.choices)
-        jobs, rows = dict[str, Job](), dict[str, ListedJob]()
-        combinations = _list_combinations(settings, _parse(words))
-        for texts, values in itertools.product(combinations, itertools.product(*given.values())):
-            own = dict(zip(given, values, strict=True))
-            named = {k: v for k, v in own.items() if k in GROUPS and isinstance(v, str)}
-            texts = {**texts, **named}
-            cfg = composer.compose(texts)
-            others = {key: value for key, value in own.items() if key not in named}
-            job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, others))
+        jobs, rows = dict[str, Job](), list[ListedJob]()
+        combinations = _list_combinations(settings, axes)
+        for cfg, own in _compose_each(combinations, compose, config.hydra.runtime.choices):
+            job = Job.of(cfg, cfg.hydra.runtime.choices)
             if jobs.setdefault(job.fingerprint, job) is job:
-                shown = values_of([*texts, *others], job)
-                rows[job.fingerprint] = ListedJob(
-                    "", _make_overrides(texts), shown, job.fingerprint
-                )
-        composer.require_known([*rows.values()])
+                texts = tuple(one.input_line for one in own if one.input_line)
+                rows.append(ListedJob("", texts, values_of(own, job), job.fingerprint))
         name = config.hydra.runtime.choices.get("sweeps") or "multirun"
         digest = hashlib.sha256(json.dumps([*jobs]).encode()).hexdigest()[:10]
         folder = SweepFolder(Path(config.outputs).absolute() / "sweeps" / f"{name}-{digest}")
-        finished = frozenset(key for key, job in jobs.items() if job.find_result())
+        found = ((key, job.find_result()) for key, job in jobs.items())
+        finished = {key: sum(own.seconds.values()) for key, own in found if own is not None}
         todo = {key: job for key, job in jobs.items() if key not in finished}
         if config.resume == "failed":
             failed = {path.parent.name for path in folder.path.glob(f"jobs/*/{FAILURE}")}
@@ -119,7 +159,7 @@ class Plan:
         check([job.config for job in todo.values()])
         about = {"name": name, "command": command(config)}
         about |= {key: keys.get(key) for key in ("pool", "report")}
-        return cls(folder, label_jobs([*rows.values()]), todo, finished, config, about)
+        return cls(folder, label_jobs(rows), todo, finished, config, about)
 
     def batches(self) -> list[list[Job]]:
         """Groups the jobs to run into batches; a worker runs a batch at each call.
@@ -156,12 +196,11 @@ def label_jobs(jobs: Sequence[ListedJob]) -> tuple[ListedJob, ...]:
     return tuple(found)
 
 
-def values_of(keys: Sequence[str], job: Job) -> dict[str, str]:
+def values_of(overrides: Iterable[Override], job: Job) -> dict[str, str]:
     """Returns ``{key: value as text}`` for the keys that affect the numbers of a job."""
-    names = dict.fromkeys(key.lstrip("+~").partition("@")[0] for key in keys)
     return {
         key: job.choices[key] if key in job.choices else _format_value(_get_value(job.config, key))
-        for key in names
+        for key in dict.fromkeys(one.key_or_group for one in overrides)
         if key in job.choices or key.partition(".")[0] in job.config
     }
 
@@ -173,72 +212,26 @@ def _get_value(node: Any, key: str) -> Any:
     return node
 
 
-def set_values(cfg: DictConfig, values: Mapping[str, Any]) -> dict[str, str]:
-    """Sets Python values in a configuration. Returns ``{group: name}`` of those values that are
-    components.
-
-    Raises:
-        OmegaConfBaseException: the key does not exist, or does not accept the value.
-    """
-    names = {}
-    for key, value in values.items():
-        if key in GROUPS:
-            digest = hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-            names[key] = f"{str(value['_target_']).rpartition('.')[2]}_{digest[:4]}"
-            with open_dict(cfg):
-                cfg[key] = value
-        else:
-            OmegaConf.update(cfg, key, value)
-    return names
-
-
-def _list_combinations(
-    settings: list[dict[str, Any]], given: dict[str, list[str]]
-) -> list[dict[str, str]]:
-    """Lists the distinct combinations of values, a mapping for each job."""
+def _list_combinations(settings: list[dict[str, Any]], given: Axes) -> list[tuple[Override, ...]]:
+    """Lists the combinations of values, one for each job. If the settings differ in a key, a given
+    value of this key selects the settings that have the value."""
     apart = [key for key in given if len({str(setting.get(key)) for setting in settings}) > 1]
-    texts = [{key: _format_values(value) for key, value in setting.items()} for setting in settings]
-    chosen: dict[tuple[str, ...], dict[str, str]] = {}
-    for setting in texts:
-        own = _parse(_make_overrides(setting))
-        merged = own | {key: values for key, values in given.items() if key not in apart}
+    selected = {key: [one.value() for one in given[key]] for key in apart}
+    chosen = list[tuple[Override, ...]]()
+    for setting in settings:
+        several = {key: own if isinstance(own, list) else [own] for key, own in setting.items()}
+        words = [f"{key}={','.join(map(_format_value, own))}" for key, own in several.items()]
+        merged = parse(words) | {key: own for key, own in given.items() if key not in apart}
         for combination in itertools.product(*merged.values()):
-            values = dict(zip(merged, combination, strict=True))
-            if all(values.get(key) in given[key] for key in apart):
-                chosen[_make_overrides(values)] = values
-    if not chosen:
-        known = [{key: own[key] for key in apart if key in own} for own in texts]
-        has = "; ".join(" ".join(_make_overrides(own)) or "none" for own in known)
-        asked = ",".join(given[apart[0]])
+            own = dict(zip(merged, combination, strict=True))
+            if all(key in own and own[key].value() in selected[key] for key in apart):
+                chosen.append(combination)
+    if apart and not chosen:
+        known = ([f"{key}={own[key]}" for key in apart if key in own] for own in settings)
+        has = "; ".join(" ".join(words) or "none" for words in known)
+        asked = ",".join(map(_format_value, selected[apart[0]]))
         raise InputError(apart[0], asked, f"values of one of the sweep's settings: {has}")
-    return list(chosen.values())
-
-
-def _make_overrides(values: Mapping[str, str]) -> tuple[str, ...]:
-    return tuple(f"{key}={value}" for key, value in values.items())
-
-
-def _parse(overrides: Sequence[str]) -> dict[str, list[str]]:
-    """Parses overrides to ``{key: values}``, in the order of the overrides."""
-    parsed: dict[str, list[str]] = {}
-    for override in OverridesParser.create().parse_overrides([*overrides]):
-        key = override.get_key_element()
-        if not override.is_sweep_override():
-            values = [override.get_value_element_as_str()]
-        elif override.is_discrete_sweep() and not isinstance(override.value(), Glob):
-            values = [str(value) for value in override.sweep_string_iterator()]
-        else:
-            asked = (override.input_line or "").partition("=")[2]
-            raise InputError(key, asked, "a list, choice(...) or range(...)")
-        # Booleans as in YAML: Hydra writes them as in Python.
-        parsed[key] = [{"True": "true", "False": "false"}.get(own, own) for own in values]
-    return parsed
-
-
-def _format_values(value: Any) -> str:
-    """Formats the value or values of a key in a sweep's file as the right side of an override:
-    ``0.5,1``."""
-    return ",".join(map(_format_value, value)) if isinstance(value, list) else _format_value(value)
+    return chosen
 
 
 def _format_value(value: Any) -> str:
@@ -248,66 +241,58 @@ def _format_value(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-class _Composer:
+def _compose_each(
+    combinations: Iterable[Sequence[Override]], compose: Compose, choices: Mapping[str, Any]
+) -> Iterator[tuple[DictConfig, list[Override]]]:
     """Composes the configurations of jobs with few calls of Hydra, because a call takes 0.2 s.
-    If two jobs choose the same components and set the same keys (``lambda=1.5``), the second job's
-    values are set in the configuration of the first. Hydra handles everything else, including
-    errors.
+    Hydra chooses the components; numbers and texts are set afterwards. If two jobs have the same
+    components and the same keys, the second job's values are set in the first job's configuration.
 
     Args:
-        load: composes a configuration from overrides by Hydra.
+        combinations: the overrides of each job.
+        compose: composes a configuration by Hydra.
         choices: the groups of the configuration, with the chosen components.
+
+    Yields:
+        The job's configuration, valid until the next job's; and the job's overrides. Keys that the
+        chosen component lacks are dropped, such as ``solver.simulations`` for a solver without a
+        search.
+
+    Raises:
+        OmegaConfBaseException: a key does not exist in any job, or does not accept its value.
     """
+    like, known = dict[tuple[str, ...], DictConfig](), set[str]()
+    lacking: dict[str, tuple[Exception, dict[str, None]]] = {}
+    for combination in combinations:
+        own, later = [*combination], [one for one in combination if _is_set_later(one, choices)]
+        texts = [str(one.input_line) for one in own if one not in later]
+        kind = (*texts, "", *(one.key_or_group for one in later))
+        if kind not in like:
+            like[kind] = compose(texts)
+        for one in later:
+            key, group = one.key_or_group, one.key_or_group.partition(".")[0]
+            try:
+                set_value(like[kind], one)
+                known.add(key)
+            except (ConfigAttributeError, ConfigKeyError) as error:
+                if group == key or all(other.key_or_group != group for other in own):
+                    raise
+                name = str(like[kind].hydra.runtime.choices[group])
+                lacking.setdefault(key, (error, {}))[1][name] = None
+                own.remove(one)
+        yield like[kind], own
+    for key, (lack, names) in lacking.items():
+        if key not in known:
+            raise lack
+        log.info("%s: no key of %s", key, ", ".join(names))
 
-    def __init__(self, load: Compose, choices: Mapping[str, Any]) -> None:
-        self._load, self._choices = load, choices
-        self._like: dict[tuple[str, ...], DictConfig] = {}
-        self._lacking: dict[str, tuple[Exception, dict[str, None]]] = {}
 
-    def compose(self, values: dict[str, str]) -> DictConfig:
-        """Composes the configuration of one combination. Keys that the chosen component lacks are
-        dropped, such as ``solver.simulations`` for a solver without a search."""
-        try:
-            return self._reuse_or_load([*_make_overrides(values)])
-        except ConfigCompositionException as error:
-            key = missing_key(error) or ""
-            group = key.partition(".")[0]
-            if key not in values or group == key or group not in values:
-                raise
-            self._lacking.setdefault(key, (error, {}))[1][values[group]] = None
-            del values[key]
-            return self.compose(values)
-
-    def require_known(self, jobs: Sequence[ListedJob]) -> None:
-        """Logs the chosen components that lack a swept key.
-
-        Raises:
-            ConfigCompositionException: none of the jobs' components has the key.
-        """
-        for key, (error, choices) in self._lacking.items():
-            if not any(key in job.values for job in jobs):
-                raise error
-            log.info("%s: no key of %s", key, ", ".join(choices))
-
-    def _reuse_or_load(self, overrides: list[str]) -> DictConfig:
-        parsed = OverridesParser.create().parse_overrides(overrides)
-        values = [override for override in parsed if self._sets_a_value(override)]
-        others = [override for override in parsed if override not in values]
-        kind = tuple(override.input_line or "" for override in others)
-        kind += ("", *(override.key_or_group for override in values))
-        if kind not in self._like:
-            self._like[kind] = self._load(overrides)
-        for override in values:
-            OmegaConf.update(self._like[kind], override.key_or_group, override.value())
-        return self._like[kind]
-
-    def _sets_a_value(self, override: Override) -> bool:
-        key = override.key_or_group
-        plain = override.package is None and not (
-            override.is_add() or override.is_force_add() or override.is_delete()
-        )
-        scalar = isinstance(override.value(), (str, int, float, bool, type(None)))
-        return plain and scalar and key not in self._choices and key.partition(".")[0] != "hydra"
+def _is_set_later(one: Override, choices: Mapping[str, Any]) -> bool:
+    """True if a value can be set in a composed configuration: a number or text of an existing key,
+    or a value from Python."""
+    scalar = isinstance(one.value(), str | int | float | bool | None)
+    plain = one.type == OverrideType.CHANGE and not one.package and not one.is_hydra_override()
+    return not one.input_line or (scalar and plain and one.key_or_group not in choices)
 
 
 def command(config: DictConfig) -> str:

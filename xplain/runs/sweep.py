@@ -7,14 +7,16 @@ The launcher is one of Hydra's on the command line, and joblib in Python.
 import json
 import logging
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import timedelta
+from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -26,8 +28,7 @@ from xplain.report.folder import FAILURE, SWEEP, ListedJob, SweepFolder
 from xplain.report.stages import Stages
 from xplain.runs.folder import Disk, alone, attempt, without_passwords
 from xplain.runs.job import Job, failing_into, save_batch
-from xplain.runs.plan import Plan, command, label_jobs, values_of
-from xplain.runs.signals import CAME
+from xplain.runs.plan import Plan, command, label_jobs, parse, values_of
 from xplain.storage import write_text
 
 log = logging.getLogger(__name__)
@@ -39,52 +40,78 @@ BATCHES, LISTED = "batches", "job.json"
 """The folder of the batches in a sweep's folder; and the file in a job's folder that describes a
 job of another sweeper."""
 
+CAME = threading.Event()
+"""Is set when a signal interrupts this process. A library may replace the interruption by another
+error, but not this event."""
 
-def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
-    """Runs the jobs of a plan that have no results. Returns the launcher's result.
+
+def end_on_signals() -> None:
+    """Makes SIGTERM and a closed terminal interrupt this process like Ctrl-C. Workers ignore
+    Ctrl-C, because an interrupted import would print a traceback."""
+
+    def interrupt(*_: object) -> NoReturn:
+        CAME.set()
+        raise KeyboardInterrupt
+
+    def wait() -> None:
+        while signal.sigwait({signal.SIGINT}):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    # Ignored signals stay ignored: Ctrl-C in a background job, a closed terminal under nohup.
+    numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    for number in heard:
+        signal.signal(number, interrupt)
+    if signal.SIGINT in heard:
+        resource_tracker.ensure_running()  # a later start would remove the block
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # workers inherit this
+        threading.Thread(target=wait, daemon=True).start()
+
+
+def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> None:
+    """Runs the jobs of a plan that have no results.
 
     Args:
         plan: the sweep. With ``dry_run=true`` its jobs are only printed.
-        launch: receives the files of the batches, and runs the batches.
+        launch: receives the files of the batches, and runs the batches. Hydra's launchers return
+            what became of each batch.
 
     Raises:
         KeyboardInterrupt: the sweep was interrupted; MLflow has the ended jobs.
     """
     if plan.config.dry_run:
         _print_jobs(plan)
-        return None
+        return
     folder, jobs, done = plan.folder, plan.jobs, len(plan.finished)
     with alone(folder.path, "another process runs this sweep; waiting for it"):
         outputs = folder.path.parents[1]
         save_sweep(folder.path, jobs, outputs, plan.about)
-        words = [f"{len(plan.todo)} jobs to run" if plan.todo else "no job to run"]
-        words += [f"{done} finished before"] if done else []
-        log.info("%s: %s", folder.path.name, ", ".join(words))
-        batches = plan.batches()
-        files = [folder.path / BATCHES / f"{number}.json" for number in range(len(batches))]
-        for path, batch in zip(files, batches, strict=True):
+        words = f"{len(plan.todo)} jobs to run" if plan.todo else "no job to run"
+        log.info("%s: %s%s", folder.path.name, words, f", {done} finished before" if done else "")
+        batches = {
+            folder.path / BATCHES / f"{number}.json": batch
+            for number, batch in enumerate(plan.batches())
+        }
+        for path, batch in batches.items():
             save_batch(path, batch)
         returned: Any = []
         try:
             with _report_progress(plan):
                 try:
-                    returned = launch(files) if files else []
+                    returned = launch([*batches]) if batches else []
                 except Exception as error:  # noqa: BLE001  (launchers may raise any error)
                     log.warning("the launcher failed (%s)", first_line(error)[:160])
                 if CAME.is_set():  # the launcher replaced the interruption by another error
                     raise KeyboardInterrupt
         except KeyboardInterrupt:
-            tracking: Disk = instantiate(plan.config.tracking)
-            tracking.log(folder.path, outputs)
+            instantiate(plan.config.tracking).log(folder.path, outputs)
             finished = sum(folder.state(job) == "finished" for job in jobs)
-            said = (
+            raise KeyboardInterrupt(
                 f"{finished} of {len(jobs)} jobs are finished; the same command runs the other jobs"
-            )
-            raise KeyboardInterrupt(said) from None
-        for (job, *_), one in zip(batches, returned or (), strict=False):
+            ) from None
+        for (job, *_), one in zip(batches.values(), returned or (), strict=False):
             with failing_into(folder.path / "jobs" / job.fingerprint):
                 _ = one.return_value  # raises errors from outside of the job's code
-    return returned
 
 
 def save_sweep(
@@ -140,13 +167,14 @@ def finish(
     if shown and summary is not None and summary.results:
         with attempt("the table was not printed"):
             print_sweep(summary)
-    states = [folder.state(job) for job in folder.jobs]
-    finished, count = states.count("finished"), len(states)
+    count = len(folder.jobs)
+    finished = sum(folder.state(job) == "finished" for job in folder.jobs)
     end = [f"{finished} of {count} jobs finished, {_format_duration(time.time() - began)}"]
-    for job, state in zip(folder.jobs, states, strict=True):
-        if state == "failed":
-            where = os.path.relpath(folder.of(job))
-            end += [f"failed: {job.label}: {folder.error(job)}", f"  {where}"]
+    end += [
+        f"failed: {job.label}: {folder.error(job)}\n  {os.path.relpath(folder.of(job))}"
+        for job in folder.jobs
+        if folder.state(job) == "failed"
+    ]
     end += ["the same command runs the other jobs"] if finished < count else []
     end += [f"folder: {os.path.relpath(folder.path)}"]
     end += [f"report: {os.path.relpath(folder.path / 'report' / 'index.html')}", *lines]
@@ -157,7 +185,7 @@ def finish(
 
 def list_job(job: Job, overrides: Sequence[str], folder: Path) -> None:
     """Writes the description of another sweeper's job into the job's folder."""
-    texts = values_of([one.partition("=")[0] for one in overrides], job)
+    texts = values_of([own[0] for own in parse(overrides).values()], job)
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(asdict(ListedJob("", (*overrides,), texts, job.fingerprint)))
     write_text(folder / LISTED, text + "\n")
@@ -183,9 +211,8 @@ def _print_jobs(plan: Plan) -> None:
     if plan.todo and not plan.finished:
         print("expected time: unknown until the first job is finished")
     elif plan.todo:
-        paths = (plan.folder.path.parents[1] / "results" / key / RESULTS for key in plan.finished)
-        seconds = sum(sum(json.loads(p.read_text("utf-8"))["seconds"].values()) for p in paths)
-        left = _format_duration(seconds / len(plan.finished) * len(plan.todo))
+        seconds = sum(plan.finished.values()) / len(plan.finished) * len(plan.todo)
+        left = _format_duration(seconds)
         print(f"expected time: about {left} for one worker, estimated from the finished jobs")
 
 
@@ -195,26 +222,25 @@ def _report_progress(plan: Plan) -> Iterator[None]:
     runs."""
     began, folder, done = time.time(), plan.folder, len(plan.finished)
     jobs = [job for job in plan.jobs if job.fingerprint in plan.todo]
-    progress, stop, said = Stages(), threading.Event(), list[ListedJob]()
+    progress, stop = Stages(), threading.Event()
 
     def ended(path: Path) -> bool:  # in this attempt, not an earlier one
         return path.exists() and path.stat().st_mtime >= began - 1
 
-    def look() -> None:
-        failed = [job for job in jobs if ended(folder.of(job) / FAILURE)]
-        if failed and not said:
-            log.warning("first failure: %s: %s", failed[0].label, folder.error(failed[0]))
-        said.extend(failed)
-        count = len(failed) + sum(ended(folder.address(job) / RESULTS) for job in jobs)
-        words = f"{done + count} of {done + len(jobs)} jobs done, {len(failed)} failed"
-        if 0 < count < len(jobs):
-            left = (time.time() - began) / count * (len(jobs) - count)
-            words += f", about {_format_duration(left)} left"
-        progress.note(words)
-
     def watch() -> None:
-        while not stop.wait(POLL):
-            look()
+        over, said = False, False
+        while not over:
+            over = stop.wait(POLL)
+            failed = [job for job in jobs if ended(folder.of(job) / FAILURE)]
+            if failed and not said:
+                log.warning("first failure: %s: %s", failed[0].label, folder.error(failed[0]))
+            said = bool(failed)
+            count = len(failed) + sum(ended(folder.address(job) / RESULTS) for job in jobs)
+            words = f"{done + count} of {done + len(jobs)} jobs done, {len(failed)} failed"
+            if 0 < count < len(jobs):
+                left = (time.time() - began) / count * (len(jobs) - count)
+                words += f", about {_format_duration(left)} left"
+            progress.note(words)
 
     thread = threading.Thread(target=watch, daemon=True)
     with progress.stage("sweep"):
@@ -224,7 +250,6 @@ def _report_progress(plan: Plan) -> Iterator[None]:
         finally:
             stop.set()
             thread.join()
-            look()
 
 
 def _format_duration(seconds: float) -> str:
