@@ -44,13 +44,11 @@ def discover(words: list[str]) -> dict[str, Any]:
     interval]}.
     """
     from xplain.experiment.config import compose_config
-    from xplain.runs.labels import discovery, require_writable
+    from xplain.runs.labels import discovery
 
     cfg = compose_config("discover", words)
     folder = Path(cfg.output)
-    require_writable(folder)
-    found = discovery(cfg)
-    found.save(folder)
+    found = discovery(cfg, folder)
     found.show(folder)
     return found.row
 
@@ -89,9 +87,9 @@ def questions(words: list[str]) -> dict[str, Any]:
     from xplain.experiment.config import compose_config
     from xplain.runs.labels import write_questions
 
-    rows, about = write_questions(compose_config("questions", words, with_hydra=True))
+    questions, about = write_questions(compose_config("questions", words, with_hydra=True))
     table = Table("", "the robot", "told before")
-    for row in rows:
+    for row in questions.to_dict("records"):
         table.add_row(str(row["question"]), row["text"], row["told"] or "nothing")
     Console().print(table)
     return about

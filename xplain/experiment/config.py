@@ -52,6 +52,9 @@ RESUME = ("missing", "failed", "none")
 OF_PEOPLE = ("fastapi", "itsdangerous", "jwt", "pydantic", "uvicorn")
 """Modules of the extra ``people``."""
 
+USER_ERRORS = (HydraException, OmegaConfBaseException, YAMLError, OSError)
+"""Errors of libraries that the user can correct, if :func:`one_line` describes them."""
+
 NO_PACKAGE = (
     "domain: the file of this choice has to begin with the line '# @package _global_', since it "
     "sets keys beside domain"
@@ -160,10 +163,7 @@ def report_errors() -> Iterator[None]:
         sys.exit(1)
     except KeyboardInterrupt as error:
         _exit_interrupted(error)
-    except (
-        *(XplainError, HydraException, OmegaConfBaseException),
-        *(YAMLError, OSError, ModuleNotFoundError),
-    ) as error:
+    except (XplainError, *USER_ERRORS, ModuleNotFoundError) as error:
         text = one_line(error)
         if text is None or os.environ.get("XPLAIN_TRACEBACK"):
             raise

@@ -27,18 +27,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException
 from hydra.utils import instantiate
 from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from xplain.errors import InputError, XplainError, one_of
 from xplain.experiment.config import (
     GROUPS,
     PYTHON,
+    USER_ERRORS,
     compose_config,
     did_you_mean,
     one_line,
@@ -53,8 +51,8 @@ from xplain.report.folder import SWEEP
 from xplain.report.frame import TITLES, Summary, warning_about_oracle
 from xplain.report.stages import Stages
 from xplain.runs.job import Job, run_alone, run_batch
-from xplain.runs.labels import Discovery, discovery, require_writable
-from xplain.runs.plan import Compose, Plan, compose_values, make_override, parse
+from xplain.runs.labels import Discovery, discovery
+from xplain.runs.plan import Compose, Plan, compose_values, make_overrides, parse
 from xplain.runs.sweep import finish, run_missing
 
 if TYPE_CHECKING:
@@ -201,12 +199,9 @@ def sweep(
     """
     with _open_request(overrides, keys, config_dir) as (words, axes, compose):
         began = time.time()
-        single = [own[0] for own in axes.values() if len(own) == 1]
-        config = compose_values(compose, single)
+        config = compose_values(compose, [own[0] for own in axes.values() if len(own) == 1])
         config.hydra.overrides.task = words  # with the swept overrides
-        where = [str(one.input_line) for one in single if one.is_hydra_override()]
-        swept = {key: own for key, own in axes.items() if not key.startswith("hydra")}
-        plan = Plan.of(config, swept, lambda own: compose([*where, *own]))
+        plan = Plan.of(config, axes, compose)
         _require_runnable(plan.todo.values(), config)
         workers = config.hydra.launcher.get("n_jobs", 1)
         for key in GROUPS if workers != 1 else ():
@@ -245,14 +240,8 @@ def discover(
         if isinstance(data, pd.DataFrame):
             frame, data = data, Path(place) / "labels.csv"
             frame.to_csv(data, index=False)
-        cfg = _compose_single(axes | {"data": [make_override("data", str(data))]}, compose)
-        folder = Path(cfg.output) if "output" in axes else None
-        if folder is not None:
-            require_writable(folder)
-        found = discovery(cfg)
-        if folder is not None:
-            found.save(folder)
-        return found
+        cfg = _compose_single(axes | {"data": make_overrides("data", str(data))}, compose)
+        return discovery(cfg, Path(cfg.output) if "output" in axes else None)
 
 
 def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
@@ -297,11 +286,17 @@ def _open_request(
             def compose(words: list[str]) -> DictConfig:
                 return compose_config(of, [*where, *words], with_hydra=True)
 
-            words, given = _read_keywords(keys, [*map(str, compose([])), "sweeps"])
-            words = [*overrides, *words]
+            known, given = [*map(str, compose([])), "sweeps"], dict[str, list[Override]]()
+            for name, value in keys.items():
+                key = _find_key(name, known)
+                given[key] = make_overrides(key, _make_plain(key, value))
+            words = [*overrides]
+            for key, values in given.items():
+                if texts := [one.get_value_string() for one in values if one.input_line]:
+                    words.append(f"{key}={','.join(texts)}")
             require_names(words)
-            yield words, parse(words) | given, compose
-        except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
+            yield words, parse(overrides) | given, compose
+        except USER_ERRORS as error:
             text = one_line(error)
             if text is None:
                 raise
@@ -333,33 +328,10 @@ def _compose_single(axes: Mapping[str, Sequence[Override]], compose: Compose) ->
     return compose_values(compose, [one for own in axes.values() for one in own])
 
 
-def _read_keywords(
-    keys: Mapping[str, Any], known: Sequence[str]
-) -> tuple[list[str], dict[str, list[Override]]]:
-    """Reads the keywords of a call.
-
-    Returns:
-        Overrides that choose components by their names, such as ``solver=qmdp``; and for all other
-        keywords the values of each configuration key.
-    """
-    words, given = list[str](), dict[str, list[Override]]()
-    for name, own in keys.items():
-        key = _find_key(name, known)
-        value = _make_plain(key, own)
-        several = value if isinstance(value, list) else [value]
-        groups = (*GROUPS, "tracking", "sweeps")
-        if key in groups and all(isinstance(one, str | None) for one in several):
-            words.append(f"{key}={','.join('null' if one is None else one for one in several)}")
-        else:
-            given[key] = [make_override(key, one) for one in several]
-    return words, given
-
-
 def _find_key(name: str, known: Sequence[str]) -> str:
     """Returns the configuration key of a keyword: ``users_count`` is ``users.count``."""
+    name = PYTHON.get(name, name)
     group, _, inside = name.partition("_")
-    if name in PYTHON:
-        return PYTHON[name]
     if name not in known and inside and group in known:
         return f"{group}.{inside}"
     if name.partition(".")[0] not in known:
@@ -386,12 +358,13 @@ def _make_plain(key: str, value: Any) -> Any:
         if isinstance(own, Mapping):
             return dict(own)
         path = f"{type(own).__module__}.{type(own).__qualname__}"
-        if locate(path) is type(own) and is_dataclass(own):
-            given = {one.name: getattr(own, one.name) for one in fields(own) if one.init}
-            return {"_target_": path, **given}
-        if locate(path) is type(own) and hasattr(own, "get_params"):  # a model of scikit-learn
-            return {"_target_": path, **own.get_params(deep=False)}
-        allowed = "a name, or an object of a dataclass at the top level of a module or script"
-        raise InputError(key, own, allowed)
+        if locate(path) is not type(own) or not (is_dataclass(own) or hasattr(own, "get_params")):
+            allowed = "a name, or an object of a dataclass at the top level of a module or script"
+            raise InputError(key, own, allowed)
+        if is_dataclass(own):
+            return {"_target_": path} | {
+                f.name: getattr(own, f.name) for f in fields(own) if f.init
+            }
+        return {"_target_": path, **own.get_params(deep=False)}  # a model of scikit-learn
 
     return json.loads(json.dumps(value, default=describe))

@@ -21,7 +21,7 @@ from rich.console import Console
 from yaml import YAMLError
 
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.errors import InputError, TooLargeError, one_of
+from xplain.errors import InputError, TooLargeError, first_line, one_of
 from xplain.experiment.pipeline import observe
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
@@ -72,20 +72,17 @@ class Discovery:
     @property
     def row(self) -> Row:
         """The JSON that the command prints."""
-        clustering, names = self.types.clustering, self.types.names
+        clustering, names, unseen = self.types.clustering, self.types.names, self.held_out
         pairs = zip(self.dataset.observers, clustering.assignment, strict=True)
-        told = None
-        if (unseen := self.held_out) is not None:
-            told = asdict(unseen) | {"verdict": unseen.verdict}
-            del told["calibration"]
-        about = {} if self.accept is None else {"accept": self.accept}
-        return about | {
+        measured = {} if unseen is None else asdict(unseen) | {"verdict": unseen.verdict}
+        return {
+            **({} if self.accept is None else {"accept": self.accept}),
             "n_types": clustering.n_types,
             "assignment": {observer: names[t] for observer, t in pairs},
             "method": clustering.method,
             "rule": clustering.rule,
-            "held_out_log_likelihood": None if unseen is None else unseen.types,
-            "held_out": told,
+            "held_out_log_likelihood": measured.get("types"),
+            "held_out": {k: v for k, v in measured.items() if k != "calibration"} or None,
             "seconds": self.seconds,
         }
 
@@ -157,49 +154,61 @@ class Discovery:
             figure.savefig(folder / f"{name}.png")
         more: Row = {"posterior": self.types.clustering.posterior}
         if evidence is not None:
-            more["evidence"] = dict(zip(("hypotheses", "labels_alone"), evidence.nats, strict=True))
-            more["evidence"] |= {"verdict": str(evidence)}
+            nats = dict(zip(("hypotheses", "labels_alone"), evidence.nats, strict=True))
+            more["evidence"] = nats | {"verdict": str(evidence)}
         if unseen is not None:
             more["calibration"] = [one._asdict() for one in unseen.calibration]
-        summary = {**row, "labels": len(self.dataset), "types": self.rows}
-        summary |= {key: value for key, value in more.items() if value is not None}
-        text = json.dumps(summary, indent=2)
-        (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+        more = {key: value for key, value in more.items() if value is not None}
+        summary = {**row, "labels": len(self.dataset), "types": self.rows, **more}
+        write_text(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
         if self.answers is not None:
             self.answers.to_csv(folder / "predictions.csv", index=False)
 
     def show(self, folder: Path) -> None:
         """Prints the types and the folder of their files on standard output."""
-        shown = []
-        for one in self.rows:
-            needs = one["needs"] if self.dataset.messages else None
-            messages = "?" if needs is None else ", ".join(needs) or "nothing"
-            line = {"type": one["name"], "needed messages": messages}
-            line |= {"observers": str(one["observers"]), "labels": str(one["labels"])}
-            line |= {"explicable": f"{one['explicable']:.1%}"}
-            shown.append(line | {"confidence": f"{one['confidence']:.3f}"})
-        console, row = Console(), self.row
+        console, row, messages = Console(), self.row, self.dataset.messages
+        needs = [own["needs"] if messages else None for own in self.rows]
+        shown = [
+            {
+                "type": own["name"],
+                "needed messages": "?" if needed is None else ", ".join(needed) or "nothing",
+                "observers": str(own["observers"]),
+                "labels": str(own["labels"]),
+                "explicable": f"{own['explicable']:.1%}",
+                "confidence": f"{own['confidence']:.3f}",
+            }
+            for own, needed in zip(self.rows, needs, strict=True)
+        ]
         found = f"{row['n_types']} user types ({row['method']}, {row['rule']})"
         console.print(f"{found}; files in {folder}")
         console.print(table_of(shown, 2).text())
         for message, (rate, low, high) in (self.accept or {}).items():
             console.print(f"acceptance of {message}: {rate:.2f} ({low:.2f} to {high:.2f})")
-        if self.held_out is not None:
-            figures = {key: row["held_out"][key] for key in ("types", "one_type", "question_mean")}
-            said = ", ".join(f"{key.replace('_', ' ')} {-own:.3f}" for key, own in figures.items())
-            console.print(f"nats per held-out label: {said}; {row['held_out']['verdict']}")
-            off = max(abs(one.said - one.ones) for one in self.held_out.calibration)
+        if (unseen := self.held_out) is not None:
+            figures = {"types": unseen.types, "one type": unseen.one_type}
+            figures["question mean"] = unseen.question_mean
+            said = ", ".join(f"{key} {-own:.3f}" for key, own in figures.items())
+            console.print(f"nats per held-out label: {said}; {unseen.verdict}")
+            off = max(abs(one.said - one.ones) for one in unseen.calibration)
             said = f"largest error in a tenth of the held-out labels {off:.3f} (calibration.png)"
             console.print(f"calibration: {said}")
 
 
-def discovery(cfg: DictConfig) -> Discovery:
+def discovery(cfg: DictConfig, folder: Path | None) -> Discovery:
     """Finds the types with the configuration of conf/discover.yaml and its overrides.
 
+    Args:
+        cfg: the configuration.
+        folder: receives all files of the command; None writes no files.
+
     Raises:
-        XplainError: the table or a value cannot be used.
+        XplainError: the table or a value cannot be used, or the folder cannot be written.
     """
     began = time.perf_counter()
+    if folder is not None:  # refused before any work, and without creating it
+        above = next(path for path in (folder.absolute() / "x").parents if path.exists())
+        if not above.is_dir() or not os.access(above, os.W_OK):
+            raise InputError("output", str(folder), "a folder that can be written")
     run_seed(cfg.seed)
     trainer = instantiate(cfg.labeler)
     finder = instantiate(cfg.clusterer, _partial_=True)(labeler=trainer)
@@ -211,7 +220,11 @@ def discovery(cfg: DictConfig) -> Discovery:
     types = finder.find(Observations(dataset), cfg.seed)
     unseen = predict_held_out(dataset, finder, trainer, cfg.seed) if cfg.held_out else None
     answers = asked and asked[0].assign(p=predict(dataset, types, asked[1]))
-    return Discovery(dataset, types, unseen, sentences, answers, time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    found = Discovery(dataset, types, unseen, sentences, answers, seconds)
+    if folder is not None:
+        found.save(folder)
+    return found
 
 
 def sentences_of(path: str | None, messages: Sequence[str]) -> dict[str, str]:
@@ -226,24 +239,12 @@ def sentences_of(path: str | None, messages: Sequence[str]) -> dict[str, str]:
     try:
         said = OmegaConf.to_container(OmegaConf.load(path))
     except (OSError, ValueError, YAMLError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError("sentences", path, f"{wanted} ({reason})") from None
+        raise InputError("sentences", path, f"{wanted} ({first_line(error)})") from None
     if not isinstance(said, dict) or not all(isinstance(text, str) for text in said.values()):
         raise InputError("sentences", path, wanted)
     return {
         str(one_of("sentences", name, messages, "message")): text for name, text in said.items()
     }
-
-
-def require_writable(folder: Path) -> None:
-    """Refuses a folder that cannot be written, before any work is done and without creating it.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
-    above = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    if not above.is_dir() or not os.access(above, os.W_OK):
-        raise InputError("output", str(folder), "a folder that can be written")
 
 
 def write_labels(cfg: DictConfig) -> Row:
@@ -283,8 +284,8 @@ def write_labels(cfg: DictConfig) -> Row:
     }
 
 
-def write_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
-    """Writes the questions to ask. Returns a row for each question, and a summary.
+def write_questions(cfg: DictConfig) -> tuple[pd.DataFrame, Row]:
+    """Writes the questions to ask. Returns their table, and a summary.
 
     Args:
         cfg: conf/questions.yaml with its overrides, and the ``hydra`` node.
@@ -305,25 +306,31 @@ def write_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
     known, images, sentences = read_known_facts(cfg.transitions, path, domain)
     assert known is not None, "a table, a file or a domain has the facts"
     transitions, told = battery(known, design.redundancy, cfg.seed)
-    rows: list[Row] = []
-    for number, (t, mask) in enumerate(zip(transitions.tolist(), told.tolist(), strict=True), 1):
-        said = {name: sentences.get(name, name) for name in names_of(mask, known.messages)}
-        row = {
-            "question": number,
-            "transition": t,
-            "text": known.phrases[t] if known.phrases else f"transition {t}",
-            "image": images[t] if images else "",
-            "messages": ";".join(said),
-            "told": " ".join(said.values()),
+    said = [
+        {name: sentences.get(name, name) for name in names_of(mask, known.messages)}
+        for mask in told.tolist()
+    ]
+    asked = transitions.tolist()
+    table = pd.DataFrame(
+        {
+            "question": range(1, len(asked) + 1),
+            "transition": asked,
+            "text": [known.phrases[t] if known.phrases else f"transition {t}" for t in asked],
+            "image": [images[t] if images else "" for t in asked],
+            "messages": [";".join(own) for own in said],
+            "told": [" ".join(own.values()) for own in said],
         }
-        if known.features is not None:
-            row |= zip(known.feature_names, known.features[t].tolist(), strict=True)
-        rows.append(row)
+    )
+    if known.features is not None:
+        table[list(known.feature_names)] = known.features[asked]
     if cfg.save is not None:
         known.save(cfg.save)
     output = Path(cfg.output)
     output.parent.mkdir(parents=True, exist_ok=True)
-    write_text(output, pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
-    about = {"output": str(cfg.output), "questions": len(rows)}
-    candidates = len(np.unique(known.classes))
-    return rows, about | {"transitions": known.n_transitions, "candidates": candidates}
+    write_text(output, table.to_csv(index=False, lineterminator="\n"))
+    return table, {
+        "output": str(cfg.output),
+        "questions": len(table),
+        "transitions": known.n_transitions,
+        "candidates": len(np.unique(known.classes)),
+    }

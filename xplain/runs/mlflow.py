@@ -26,7 +26,7 @@ from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.claims import answer
 from xplain.report.folder import FAILURE, SWEEP, SweepFolder
 from xplain.report.frame import PROBLEM, Summary, is_in, warning_about_oracle
-from xplain.runs.folder import Disk, alone, runs_and_sweeps, without_passwords
+from xplain.runs.folder import Disk, alone, attempt, runs_and_sweeps, without_passwords
 
 log = logging.getLogger(__name__)
 
@@ -73,12 +73,12 @@ class MLflow(Disk):
 
     def log(self, folder: Path, outputs: Path) -> list[str]:
         """Sends the results. After a failure, a warning says how to send them later."""
-        try:
-            return self.send(folder, outputs)
-        except XplainError as error:
-            safe = "The results are safe; send them later with: python -m xplain sync"
-            log.warning("%s. %s %s", error, safe, folder)
-            return []
+        lines = list[str]()
+        with attempt(
+            f"results are safe, but not in MLflow (later: python -m xplain sync {folder})"
+        ):
+            lines = self.send(folder, outputs)
+        return lines
 
     def send(self, folder: Path, outputs: Path) -> list[str]:
         """Updates MLflow to the state of a run's or sweep's folder.
@@ -100,11 +100,9 @@ class MLflow(Disk):
                 client = MlflowClient(uri)
                 found = client.get_experiment_by_name(self.experiment)
                 if found is not None and found.lifecycle_stage == "deleted":
-                    allowed = (
-                        "an experiment that is not deleted; restore it in MLflow or name another"
-                    )
+                    allowed = "an experiment that exists; restore it in MLflow or name another"
                     raise InputError("tracking.experiment", self.experiment, allowed)
-                artifacts = None if served else (outputs.resolve() / "artifacts").as_uri()
+                artifacts = None if served else (own.parent / "artifacts").as_uri()
                 experiment = (
                     found.experiment_id
                     if found
@@ -207,10 +205,11 @@ class _Store:
         return f"?workflowType=machine_learning&viewStateShareKey={key}"
 
     def _replace(self, mark: Mapping[str, str], jobs: Sequence[Ended]) -> list[str]:
-        """Makes these jobs the only runs with the tags ``mark``. Returns their ids. A run with the
-        result, the status and the start of a job is kept. All other runs come from earlier attempts
-        or interrupted senders."""
+        """Makes these jobs the only runs of their results among the runs with the tags ``mark``.
+        Returns their ids. A run with the status and the start of its job is kept; a run with others
+        comes from an earlier attempt or an interrupted sender."""
         known, sent = self._find_runs(mark), list[str]()
+        results = {job[4][RESULT_TAG] for job in jobs}
         ids = {(r.data.tags.get(RESULT_TAG), r.info.status, r.info.start_time): r for r in known}
         for folder, status, (began, ended), name, own, numbers, texts in jobs:
             run = ids.get((own[RESULT_TAG], status, began))
@@ -224,7 +223,7 @@ class _Store:
                 self.client.set_terminated(run.info.run_id, status, ended)
             sent.append(run.info.run_id)
         for run in known:
-            if run.info.run_id not in sent:
+            if run.data.tags.get(RESULT_TAG) in results and run.info.run_id not in sent:
                 self.client.delete_run(run.info.run_id)
         return sent
 
@@ -242,8 +241,8 @@ def _ended(folder: Path, results: Results, name: str, swept: Mapping[str, str]) 
         "mlflow.source.git.commit": results.git.get("commit", ""),
         "xplain.warning": warning_about_oracle(results.learning, results.regret or 0),
     }
-    figured = figures(results), parameters(results, swept)
-    return folder, "FINISHED", (int(1000 * began), int(1000 * end)), name, tags, *figured
+    times = int(1000 * began), int(1000 * end)
+    return folder, "FINISHED", times, name, tags, figures(results), parameters(results, swept)
 
 
 def figures(results: Results) -> dict[str, float]:
@@ -265,8 +264,8 @@ def parameters(results: Results, swept: Mapping[str, str]) -> dict[str, str]:
     """Returns the swept values, the choices by group (``solver = pomcp``), and the keys at the top
     level of the configuration. The artifact ``results.json`` has all keys."""
     own = {key: value for key, value in results.config.items() if not isinstance(value, Mapping)}
-    every = {**{key: swept[key] for key in swept if "." in key}, **results.choices, **own}
-    return {key: str(value)[:500] for key, value in every.items()}
+    inner = {key: swept[key] for key in swept if "." in key}
+    return {key: str(value)[:500] for key, value in {**inner, **results.choices, **own}.items()}
 
 
 def view(parent: str, summary: Summary) -> dict[str, Any]:

@@ -64,12 +64,16 @@ def parse(words: Iterable[str]) -> dict[str, list[Override]]:
     return parsed
 
 
-def make_override(key: str, value: Any) -> Override:
-    """Makes an override from a value of Python. The name of a component becomes a text, because
-    Hydra composes the component."""
-    if key in GROUPS and isinstance(value, str):
-        return parse([f"{key}={value}"])[key][0]
-    return Override(OverrideType.CHANGE, key, ValueType.ELEMENT, value)
+def make_overrides(key: str, value: Any) -> list[Override]:
+    """Makes an override for each value of a list from Python, or for a single value. Names of
+    choices become texts, because Hydra composes what they choose."""
+    made = list[Override]()
+    for one in value if isinstance(value, list) else [value]:
+        if key in (*GROUPS, "tracking", "sweeps") and isinstance(one, str | None):
+            made += parse([f"{key}={'null' if one is None else one}"])[key]
+        else:
+            made.append(Override(OverrideType.CHANGE, key, ValueType.ELEMENT, one))
+    return made
 
 
 def set_value(cfg: DictConfig, override: Override) -> None:
@@ -145,7 +149,9 @@ class Plan:
         for cfg, own in _compose_each(combinations, compose, config.hydra.runtime.choices):
             job = Job.of(cfg, cfg.hydra.runtime.choices)
             if jobs.setdefault(job.fingerprint, job) is job:
-                texts = tuple(one.input_line for one in own if one.input_line)
+                # Hydra's own settings, such as the launcher, are not the job's.
+                task = [one for one in own if one.input_line and not one.is_hydra_override()]
+                texts = tuple(str(one.input_line) for one in task)
                 rows.append(ListedJob("", texts, values_of(own, job), job.fingerprint))
         name = config.hydra.runtime.choices.get("sweeps") or "multirun"
         digest = hashlib.sha256(json.dumps([*jobs]).encode()).hexdigest()[:10]
@@ -245,7 +251,7 @@ def _compose_each(
     combinations: Iterable[Sequence[Override]], compose: Compose, choices: Mapping[str, Any]
 ) -> Iterator[tuple[DictConfig, list[Override]]]:
     """Composes the configurations of jobs with few calls of Hydra, because a call takes 0.2 s.
-    Hydra chooses the components; numbers and texts are set afterwards. If two jobs have the same
+    Hydra chooses the components; values are set afterwards. If two jobs have the same
     components and the same keys, the second job's values are set in the first job's configuration.
 
     Args:
@@ -266,7 +272,9 @@ def _compose_each(
     for combination in combinations:
         own, later = [*combination], [one for one in combination if _is_set_later(one, choices)]
         texts = [str(one.input_line) for one in own if one not in later]
-        kind = (*texts, "", *(one.key_or_group for one in later))
+        # A mapping is merged into the mapping that is there, so it needs a new configuration.
+        merged = [str(one.value()) for one in later if _is_merged(one.value())]
+        kind = (*texts, "", *(one.key_or_group for one in later), "", *merged)
         if kind not in like:
             like[kind] = compose(texts)
         for one in later:
@@ -288,11 +296,14 @@ def _compose_each(
 
 
 def _is_set_later(one: Override, choices: Mapping[str, Any]) -> bool:
-    """True if a value can be set in a composed configuration: a number or text of an existing key,
-    or a value from Python."""
-    scalar = isinstance(one.value(), str | int | float | bool | None)
+    """True if a value can be set in a composed configuration: the value of an existing key, or any
+    value from Python."""
     plain = one.type == OverrideType.CHANGE and not one.package and not one.is_hydra_override()
-    return not one.input_line or (scalar and plain and one.key_or_group not in choices)
+    return not one.input_line or (plain and one.key_or_group not in choices)
+
+
+def _is_merged(value: Any) -> bool:
+    return isinstance(value, dict) and "_target_" not in value
 
 
 def command(config: DictConfig) -> str:
