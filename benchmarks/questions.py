@@ -201,7 +201,7 @@ def row_of(
         types = clusterer(labeler=trainer).find(observed, seed)
         none = _measure_none(observed, types, hypotheses_of(domain, path), error)
         given = trainer.adapt_to(observed)
-        perfect = learn_perfect(observed, given, seed, types.by_observers)
+        perfect = learn_perfect(observed, given, seed, types)
         oracle = oracle_labelers(perfect, observed)
     assert observed.truth is not None
     alike = setting.distinct[observed.truth]

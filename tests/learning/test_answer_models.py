@@ -12,14 +12,23 @@ from scipy.special import betaln, gammaln
 from sklearn.metrics import adjusted_rand_score
 
 from xplain import Dataset, Hypotheses, LabelerTrainer
-from xplain.learning.answers import RATES, AnswerModel, CellAnswers, learn_answers
+from xplain.learning.answers import RATES, AnswerModel, learn_answers
 from xplain.learning.data.observers import Observations
 from xplain.learning.landing import AcceptanceModel, learn_landing
 from xplain.learning.mixture.classes import SHRINKAGE, answer_classes
-from xplain.learning.mixture.likelihood import Answers, KnownTransitions
+from xplain.learning.mixture.likelihood import KnownTransitions
 from xplain.learning.mixture.partition import learn_ways
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import predict_held_out
+
+
+def listed(
+    item: np.ndarray, person: np.ndarray, label: np.ndarray, items: int, people: int
+) -> Dataset:
+    """Makes labels of items with different numbers."""
+    features, names = np.arange(float(items))[:, None], tuple(f"o{i:03d}" for i in range(people))
+    label = label.astype(np.uint8)
+    return Dataset(features, ("item",), (), names, person, item, np.zeros_like(item), label)
 
 
 def simulated(seed, errors, slips, people=20, each=40, types=4, sure=0.9995):
@@ -36,9 +45,8 @@ def simulated(seed, errors, slips, people=20, each=40, types=4, sure=0.9995):
     said = np.where(rng.random(len(person)) < np.array(slips)[question] * thought, 0, thought)
     error = np.resize(errors, people * types).reshape(types, -1).T.ravel()[:people]
     label = said ^ (rng.random(len(person)) < error[person])
-    cell = kind * questions + question
-    answers = CellAnswers(cell, question, person, label.astype(np.int64))
-    return learn_answers(answers, prior.ravel(), questions, people), error
+    answers = listed(question, person, label, questions, people)
+    return learn_answers(answers, kind * questions + question, prior.ravel()), error
 
 
 def mean_rate(model):
@@ -83,8 +91,8 @@ def test_what_most_of_a_type_answer_is_what_they_think():
     for contrary, allowed in ((np.arange(8) < 4, 0.05), (np.arange(8) % 4 == 0, 1.0)):
         label = np.where(contrary[person] & (question < 10), 0, 1)
         cell = rng.permutation(120)[kind * 60 + question]
-        answers = CellAnswers(cell, question, person, label)
-        model = learn_answers(answers, np.full(120, 1 - 1e-6), 60, 8, start=0.1)
+        answers = listed(question, person, label, 60, 8)
+        model = learn_answers(answers, cell, np.full(120, 1 - 1e-6), start=0.1)
         assert model.slip[:10].max() < allowed
         assert (mean_rate(model).max() < 0.01) == (allowed < 1)
 
@@ -94,8 +102,7 @@ def test_a_person_is_judged_as_by_the_sum_over_all_truths():
     cell, person = np.array([0, 1, 2, 2, 3, 4]), np.array([0, 0, 0, 1, 1, 1])
     label = np.array([1, 0, 1, 0, 0, 0])
     prior = np.array([0.9, 0.8, 0.3, 0.6, 0.05])
-    answers = CellAnswers(cell, cell, person, label)
-    model = learn_answers(answers, prior, 5, 2, steps=500)
+    model = learn_answers(listed(cell, person, label, 5, 2), cell, prior, steps=500)
     joint = np.zeros((5, 5))
     for f in product((0, 1), repeat=5):
         chance = np.prod(np.where(np.array(f) == 1, prior, 1 - prior))
@@ -120,18 +127,16 @@ def test_what_is_said_of_an_answer_is_a_mean_over_the_persons_rates():
         [0.65 * 0.95 + 0.35 * 0.05, 0.65 * 0.1 + 0.35 * 0.9],
         [0.75 * 0.2 + 0.25 * (0.8 * 0.2 + 0.2 * 0.8), 0.75 * 0.8 + 0.25 * (0.8 * 0.8 + 0.2 * 0.2)],
     ]
-    assert np.exp(model.log_given(question, who, label)) == pytest.approx(np.array(expected))
+    assert np.exp(model.log_given(listed(question, who, label, 2, 2))) == pytest.approx(
+        np.array(expected)
+    )
     assert model.wrong(question[:1], who[:1]) == pytest.approx((0.1 + 0.05) / 2)
 
 
 def answered(labels: np.ndarray, asked: np.ndarray | None = None) -> Dataset:
     """Makes labels [O, T] of items with different numbers, only those ``asked`` [O, T]."""
-    observers, items = labels.shape
     o, t = np.nonzero(np.ones_like(labels) if asked is None else asked)
-    nothing = np.zeros(len(o), dtype=np.int64)
-    features = np.arange(float(items))[:, None]
-    names = tuple(f"o{i:03d}" for i in range(observers))
-    return Dataset(features, ("item",), (), names, o, t, nothing, labels[o, t].astype(np.uint8))
+    return listed(t, o, labels[o, t], labels.shape[1], len(labels))
 
 
 def people(seed: int, per_class: int = 60, items: int = 12) -> tuple[Dataset, np.ndarray, float]:
@@ -258,6 +263,13 @@ def answers_one(way: int, wrong: int, kept: int, asked: NDArray, told: NDArray) 
     return np.asarray(0.95 * one + 0.05 * (1 - one))
 
 
+def joined(people: list[tuple[NDArray, NDArray, NDArray]]) -> Dataset:
+    """Makes labels of the transitions, message sets and answers of each person."""
+    person = np.arange(len(people)).repeat([len(one[0]) for one in people])
+    item, told, label = map(np.concatenate, zip(*people, strict=True))
+    return replace(listed(item, person, label, ITEMS, len(people)), message_set=told)
+
+
 def asks(rng: np.random.Generator, count: int) -> tuple[NDArray, NDArray]:
     """Draws questions; a fifth of them after all messages."""
     told = np.where(rng.random(count) < 0.2, EVERY, rng.integers(0, 8, count))
@@ -279,15 +291,15 @@ def test_shares_of_peoples_ways_are_recovered(counts: tuple[int, ...]) -> None:
     for way in np.arange(5).repeat(counts).repeat(3).tolist():
         wrong, asked = int(rng.integers(1, 8)), asks(rng, 400)
         said = rng.random(400) < answers_one(way, wrong, wrong & -wrong, *asked)
-        people.append(Answers(*asked, said.astype(np.int64)))
-    found, expected = learn_ways(KNOWN, people), (np.array(counts) / 15 + ASSUMED) / 2
+        people.append((*asked, said))
+    found, expected = learn_ways(KNOWN, joined(people)), (np.array(counts) / 15 + ASSUMED) / 2
     assert found == pytest.approx(keep_others(expected), abs=0.02)
 
 
 def test_shares_of_peoples_ways_are_the_mode_of_their_posterior() -> None:
     """Facts and ways are enumerated."""
     rng, likely = np.random.default_rng(1), np.zeros((10, 5))
-    people = [Answers(*asks(rng, 6), rng.integers(0, 2, 6)) for _ in range(10)]
+    people = [(*asks(rng, 6), rng.integers(0, 2, 6)) for _ in range(10)]
     for (o, (*asked, said)), way, wrong in product(enumerate(people), range(5), range(8)):
         for kept in [1 << j for j in range(3) if wrong >> j & 1] if way == 4 else [0]:
             one = np.abs(1 - said - answers_one(way, wrong, kept, *asked))
@@ -295,7 +307,7 @@ def test_shares_of_peoples_ways_are_the_mode_of_their_posterior() -> None:
     mode = ASSUMED
     for _ in range(500):
         mode = ((likely * mode / (likely @ mode)[:, None]).sum(axis=0) + 15 * ASSUMED) / 25
-    assert learn_ways(KNOWN, people) == pytest.approx(keep_others(mode), abs=1e-5)
+    assert learn_ways(KNOWN, joined(people)) == pytest.approx(keep_others(mode), abs=1e-5)
 
 
 def learned(dataset: Dataset, table: NDArray[np.float64] | None = TABLE) -> AcceptanceModel:

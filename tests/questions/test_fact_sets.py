@@ -24,7 +24,6 @@ from xplain.learning.mixture.likelihood import (
     LIKELY,
     MATTERS,
     UNWRITTEN,
-    Answers,
     Cells,
     KnownTransitions,
     by_level,
@@ -49,9 +48,25 @@ def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1, unwritten=0)
     return KnownTransitions.of(made)
 
 
+def dataset_of(known, observer, transition, message_set, label):
+    h = known.hypotheses
+    return Dataset(
+        features=h.features,
+        feature_names=h.feature_names,
+        messages=h.messages,
+        observers=tuple(f"o{o}" for o in range(observer.max() + 1)),
+        observer=observer,
+        transition=transition,
+        message_set=message_set,
+        label=label.astype(np.uint8),
+    )
+
+
 def answers_of(rng, known, count):
     h = known.hypotheses
-    return Answers(
+    return dataset_of(
+        known,
+        np.zeros(count, np.int64),
         rng.integers(0, h.n_transitions, count),
         rng.integers(0, 1 << h.n_messages, count),
         rng.integers(0, 2, count),
@@ -92,7 +107,8 @@ def test_the_likelihood_is_a_sum_over_true_labels(seed, unwritten):
     answers = answers_of(rng, known, 8)
     facts = np.array([0, 3, 5 + 8 * unwritten])
     given = by_level(answers.label)[:, :, [0, 3]]
-    found = Cells.of(known, answers, facts).log_likelihood(given)
+    about = answers.transition, answers.message_set
+    found = Cells.of(known, *about, facts).log_likelihood(given)
     for r, variant, d, e in product(range(3), range(2), range(len(DEVIATION)), range(2)):
         error = float(ERROR[[0, 3]][e])
         plain = plainly(known, answers, int(facts[r]), variant, d, error)
@@ -145,13 +161,13 @@ def people(known, facts, count, rng, error=0.0):
     message."""
     h = known.hypotheses
     said = []
-    for held in facts:
+    for o, held in enumerate(facts):
         t = rng.integers(0, h.n_transitions, count)
         told = rng.integers(0, 1 << h.n_messages, count)
         label = h.labels[h.row(held & ~told), t].astype(np.int64)
         label[(held & ~told & known.unwritten > 0) & (t < 8)] = 0
-        said.append(Answers(t, told, label ^ (rng.random(count) < error)))
-    return said
+        said.append((np.full(count, o), t, told, label ^ (rng.random(count) < error)))
+    return dataset_of(known, *map(np.concatenate, zip(*said, strict=True)))
 
 
 @pytest.mark.parametrize(
@@ -165,22 +181,7 @@ def test_types_are_found_with_some_wrong_answers(facts, count, unwritten):
     said = people(known, facts, count, rng, 0.05)
     found, answers, _ = partition(known, said, 1.0)
     assert found.tolist() == known.essential[facts].tolist()
-    asked = np.concatenate([one.transition for one in said])
-    assert 0.01 <= answers.wrong(asked, np.repeat(np.arange(len(facts)), count)) <= 0.1
-
-
-def dataset_of(known, said):
-    h = known.hypotheses
-    return Dataset(
-        features=h.features,
-        feature_names=h.feature_names,
-        messages=h.messages,
-        observers=tuple(f"o{o}" for o in range(len(said))),
-        observer=np.repeat(np.arange(len(said)), [len(one.label) for one in said]),
-        transition=np.concatenate([one.transition for one in said]),
-        message_set=np.concatenate([one.message_set for one in said]),
-        label=np.concatenate([one.label for one in said]).astype(np.uint8),
-    )
+    assert 0.01 <= answers.wrong(said.transition, said.observer) <= 0.1
 
 
 def test_a_file_of_hypotheses_finds_types_and_labels(tmp_path):
@@ -190,7 +191,7 @@ def test_a_file_of_hypotheses_finds_types_and_labels(tmp_path):
     known = known_of(1, facts=4, transitions=30, variants=0)
     known.hypotheses.save(tmp_path / "h.npz")
     facts = [3, 3, 3, 12, 12, 12]
-    data = dataset_of(known, people(known, facts, 25, rng, 0.02))
+    data = people(known, facts, 25, rng, 0.02)
     trainer = HypothesisTrainer(path=str(tmp_path / "h.npz"))
     found = trainer.select_known_answers(data).cluster(data, 1.0)
     assert found.assignment.tolist() == [0, 0, 0, 1, 1, 1]
@@ -210,7 +211,7 @@ def test_labels_of_another_task_are_left_to_trees(tmp_path):
     known.hypotheses.save(tmp_path / "h.npz")
     trainer = HypothesisTrainer(path=str(tmp_path / "h.npz"))
     rng = np.random.default_rng(0)
-    data = dataset_of(known, people(known, [3], 30, rng))
+    data = people(known, [3], 30, rng)
     other = Dataset(**{**data.__dict__, "feature_names": ("other",)})
     assert trainer.select_known_answers(other) is None
     assert hasattr(trainer.fit(other, 0).classifier, "tree_")

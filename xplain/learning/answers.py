@@ -17,13 +17,13 @@ questions, then f probably differs from its prior.
 
 from dataclasses import dataclass, field
 from math import prod
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, softmax
 
 from xplain.explanation.habits import UNKNOWN, WAYS, Habits
+from xplain.learning.data.dataset import Dataset
 
 RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
 """The possible error rates e, here and in explanations, and their prior without answers."""
@@ -79,20 +79,11 @@ class AnswerModel:
         mean, whole = (self.slip[-1] + self.guess[-1]) / 2, np.ones(len(RATES))
         return Habits(mean + RATES * (1 - 2 * mean), whole, 0 * whole, self.prior, self.ways)
 
-    def log_given(
-        self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
+    def log_given(self, answers: Dataset) -> NDArray[np.float64]:
         """Computes [P, 2] log P(y | f) of P answers for f = 0 and 1. Index −1 is an unknown
         question or person, who has the average rates."""
-        each = self.likelihood(question, label)
-        return np.asarray(np.log((each * self.person[person][:, None, :]).sum(axis=2)))
-
-    def likelihood(
-        self, question: NDArray[np.int64], label: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """Computes [P, 2, E] P(y | f, e) of P answers."""
-        one = self.predict(question)
-        return np.asarray(np.where(label[:, None, None] == 1, one, 1 - one))
+        each = _compute_likelihood(self.slip, self.guess, answers)
+        return np.asarray(np.log((each * self.person[answers.observer][:, None, :]).sum(axis=2)))
 
     def predict(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
         """Computes [P, 2, E] P(y = 1 | f, e) of P questions."""
@@ -116,6 +107,14 @@ def predict_answers(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> ND
     return np.asarray((1 - RATES) * one + RATES * (1 - one))
 
 
+def _compute_likelihood(
+    slip: NDArray[np.float64], guess: NDArray[np.float64], answers: Dataset
+) -> NDArray[np.float64]:
+    """Computes [P, 2, E] P(y | f, e) of P answers; their transitions are the questions."""
+    one = predict_answers(slip[answers.transition], guess[answers.transition])
+    return np.where(answers.label[:, None, None] == 1, one, 1 - one)
+
+
 def truth(
     one: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -133,27 +132,10 @@ def truth(
     return np.asarray(((one - low) / (high - low)).clip(0.0, 1.0))
 
 
-class CellAnswers(NamedTuple):
-    """P answers. A cell is a group of answers that have the same f.
-
-    Attributes:
-        cell: [P] index of the answer's cell.
-        question: [P] index of the question.
-        person: [P] index of the person.
-        label: [P] the answer y, 0 or 1.
-    """
-
-    cell: NDArray[np.int64]
-    question: NDArray[np.int64]
-    person: NDArray[np.int64]
-    label: NDArray[np.int64]
-
-
 def learn_answers(
-    answers: CellAnswers,
+    answers: Dataset,
+    cell: NDArray[np.int64],
     prior: NDArray[np.float64],
-    questions: int,
-    people: int,
     start: AnswerModel | float = MEAN,
     steps: int = STEPS,
 ) -> AnswerModel:
@@ -164,32 +146,30 @@ def learn_answers(
     cells.
 
     Args:
-        answers: P answers in C cells.
+        answers: P answers of O people to T questions, which are the dataset's transitions. Message
+            sets are not used.
+        cell: [P] the cell of each answer, of C. A cell is a group of answers with the same f.
         prior: [C] P(f = 1) of each cell before any answer.
-        questions, people: T and O, including questions and people without answers.
         start: initial model, or initial slip and guess.
         steps: maximum number of steps.
     """
-    counted = np.bincount(answers.cell, minlength=len(prior))
+    counted, people = np.bincount(cell, minlength=len(prior)), len(answers.observers)
     off = np.where(counted >= MAJORITY, DEVIATES, 1e-6)
     log_prior = np.log(np.stack([1 - prior, prior], axis=1).clip(off[:, None], 1 - off[:, None]))
     if isinstance(start, AnswerModel):
         slip, guess, share = start.slip, start.guess, start.prior
     else:
-        slip, guess = np.full((2, questions + 1), max(start, LOWEST))
+        slip, guess = np.full((2, len(answers.features) + 1), max(start, LOWEST))
         share = RATE_PRIOR
-    rate = np.tile(share, (len(answers.cell), 1))  # [P, E] from the person's other answers
+    rate = np.tile(share, (len(answers), 1))  # [P, E] from the person's other answers
     for _ in range(steps):
         before = np.concatenate([slip, guess, share])
-        one = predict_answers(slip[answers.question], guess[answers.question])
-        given = np.where(answers.label[:, None, None] == 1, one, 1 - one)  # [P, 2, E]
+        given = _compute_likelihood(slip, guess, answers)
         said = np.log((given * rate[:, None, :]).sum(axis=2))
-        thought = softmax(
-            log_prior[answers.cell] + _sum_others(said, answers.cell, len(prior)), axis=1
-        )
+        thought = softmax(log_prior[cell] + _sum_others(said, cell, len(prior)), axis=1)
         heard = np.log((given * thought[:, :, None]).sum(axis=1))
-        rate = softmax(np.log(share) + _sum_others(heard, answers.person, people), axis=1)
-        person = softmax(np.log(share) + sum_by_group(heard, answers.person, people), axis=1)
+        rate = softmax(np.log(share) + _sum_others(heard, answers.observer, people), axis=1)
+        person = softmax(np.log(share) + sum_by_group(heard, answers.observer, people), axis=1)
         share = _estimate_population(person)
         weight = thought[:, :, None] * rate[:, None, :] * given
         weight /= weight.sum(axis=(1, 2), keepdims=True)
@@ -252,7 +232,7 @@ def _estimate_slips(
     slip: NDArray[np.float64],
     guess: NDArray[np.float64],
     weight: NDArray[np.float64],
-    answers: CellAnswers,
+    answers: Dataset,
 ) -> NDArray[np.float64]:
     """Estimates the slips and guesses of all questions. Errors that a person's error rate explains
     do not count as slips or guesses.
@@ -265,7 +245,7 @@ def _estimate_slips(
     Returns:
         [2, T + 1] slips, and guesses.
     """
-    question, counts = answers.question, np.zeros((2, 2, len(slip) - 1))
+    question, counts = answers.transition, np.zeros((2, 2, len(slip) - 1))
     for f, before in ((1, slip), (0, guess)):
         unlike = (answers.label != f)[:, None]
         chance = before[question][:, None]

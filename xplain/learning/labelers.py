@@ -15,7 +15,13 @@ from xplain.errors import InputError, Range, TooLargeError, checks
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import subsets
 from xplain.learning.answers import AnswerModel
-from xplain.learning.data.dataset import Dataset, inputs, make_labelled_inputs, query_index
+from xplain.learning.data.dataset import (
+    Dataset,
+    inputs,
+    make_labelled_inputs,
+    places,
+    query_index,
+)
 from xplain.learning.data.observers import Observations
 from xplain.learning.evidence import Evidence
 from xplain.learning.types import Clustering, KnownTypes, TablesOf
@@ -186,6 +192,33 @@ class FittedLabeler(MeasuredLabeler):
         return np.clip((1 - pull) * share + pull * base, edge, 1 - edge)
 
 
+@dataclass(frozen=True, kw_only=True)
+class TableLabeler(MeasuredLabeler):
+    """A labeler of known transitions: a table of what people of a type think.
+
+    Attributes:
+        rows: [U, F] float32 features of the known transitions.
+        values: [U, 2^n] P(label = 1) of these transitions under each message set.
+    """
+
+    rows: NDArray[np.float32]
+    values: NDArray[np.float64]
+    means_truth = True
+
+    def table(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
+    ) -> LabelTable:
+        """Returns P(label = 1) of T transitions from the table; ½ for transitions that are not in
+        it."""
+        place = places(features.astype(np.float32), self.rows)
+        known = (place >= 0)[:, None]
+        return LabelTable.dense([np.where(known, self.values[place], 0.5)])
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Returns the rows and the table, for a file of types."""
+        return {"rows": self.rows, "table": self.values}
+
+
 @checks("labeler")
 @dataclass(frozen=True)
 class LabelerTrainer:
@@ -348,21 +381,19 @@ def find_tested_messages(
         return range(n_messages)
     tree, width = classifier.tree_, features.shape[1]
     # The tree compares single precision inputs with double precision thresholds.
-    single = features.astype(np.float32)
-    found: set[int] = set()
-    todo = [(0, np.arange(len(features)))]
-    while todo:
-        node, rows = todo.pop()
-        low = high = rows
-        tested = int(tree.feature[node])
-        if tree.children_left[node] < 0 or not len(rows):
+    single, found = features.astype(np.float32), set[int]()
+    reached = np.zeros((tree.node_count, len(features)), dtype=bool)
+    reached[0] = True
+    for node, tested in enumerate(tree.feature.tolist()):  # children come after their parent
+        low = high = reached[node]
+        if tested < 0 or not low.any():
             continue
         if tested < width:
-            below = single[rows, tested] <= tree.threshold[node]
-            low, high = rows[below], rows[~below]
+            below = single[:, tested] <= tree.threshold[node]
+            low, high = low & below, high & ~below
         else:
             found.add(tested - width)
-        todo += [(tree.children_left[node], low), (tree.children_right[node], high)]
+        reached[[tree.children_left[node], tree.children_right[node]]] = low, high
     check_tested_messages(len(found), n_messages)
     return sorted(found)
 

@@ -119,10 +119,7 @@ def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -
         TooLargeError: see :func:`minimal_message_set`.
     """
     found = np.zeros(len(dataset.observers), dtype=np.int64)
-    order = np.argsort(dataset.observer, kind="stable")
-    edges = np.searchsorted(dataset.observer[order], np.arange(len(found) + 1))
-    for o in range(len(found)):
-        own = order[edges[o] : edges[o + 1]]
+    for o, own in enumerate(dataset.rows):
         if len(own):
             classifier = trainer.fit_classifier(dataset.take(own), seed)
             features = dataset.features[np.unique(dataset.transition[own])]

@@ -20,42 +20,15 @@ from xplain.errors import InputError
 from xplain.explanation.belief import OPEN, fact_sets
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.data.dataset import Dataset, places
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import MAX_MASK, encode_transition
-from xplain.learning.labelers import FittedLabeler, Labeler, MeasuredLabeler
+from xplain.learning.labelers import FittedLabeler, Labeler, TableLabeler
 from xplain.learning.user_types import UserTypes, label_table
 from xplain.storage import decode, encode
 
 TREE = "sklearn.tree._tree.Tree"
 """A class that skops does not trust, because its arrays may not form a tree. This module checks the
 arrays."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TableLabeler(MeasuredLabeler):
-    """A labeler of known transitions: a table of what people of a type think.
-
-    Attributes:
-        rows: [U, F] float32 features of the known transitions.
-        values: [U, 2^n] P(label = 1) of these transitions under each message set.
-    """
-
-    rows: NDArray[np.float32]
-    values: NDArray[np.float64]
-    means_truth = True
-
-    def table(
-        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
-    ) -> LabelTable:
-        """Returns P(label = 1) of T transitions from the table; ½ for transitions that are not in
-        it."""
-        place = places(features.astype(np.float32), self.rows)
-        known = (place >= 0)[:, None]
-        return LabelTable.dense([np.where(known, self.values[place], 0.5)])
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Returns the rows and the table, for a file of types."""
-        return {"rows": self.rows, "table": self.values}
 
 
 FIGURES = {"confidence": float, "accuracy": float, "n_train": int, "n_test": int}
@@ -166,9 +139,7 @@ class LearnedTypes:
             dataset: the dataset that the types were learned from.
             sentences: text of each message.
         """
-        everything = types.everything
-        wrong = [own for labeler in types.labelers if (own := labeler.wrong) is not None]
-        known = everything is not None and len(wrong) == len(types.labelers)
+        wrong, everything = types.wrong, types.everything
         return cls(
             types.labelers,
             types.names,
@@ -177,8 +148,8 @@ class LearnedTypes:
             dataset.feature_names,
             dict(sentences or {}),
             types.habits,
-            fact_sets(np.array(wrong)) if known else None,
-            everything if known else None,
+            None if wrong is None or everything is None else fact_sets(wrong),
+            None if wrong is None else everything,
             types.clustering.new,
         )
 

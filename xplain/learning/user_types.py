@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn, Protocol
@@ -97,14 +97,14 @@ class Clusterer(ABC):
         clustering = replace(self, labeler=trainer).cluster(observed, seed)
         types = learn_types(observed.dataset, clustering, trainer, seed)
         landing = learn_landing(observed.dataset, trainer.thoughts(observed.dataset))
-        types = replace(types, landing=landing)
-        if types.evidence is not None and types.evidence.lost:
-            log.warning("%s", types.evidence)
-        data, answers = observed.dataset, types.answers
-        share = 0.0 if answers is None else answers.wrong(data.transition, data.observer)
-        if types.evidence is not None and share > NOISY:
-            log.warning(NOISY_TEXT, 100 * share)
-        return types
+        evidence, answers = types.evidence, types.answers
+        if evidence is not None and evidence.lost:
+            log.warning("%s", evidence)
+        if evidence is not None and answers is not None:
+            wrong = answers.wrong(observed.dataset.transition, observed.dataset.observer)
+            if wrong > NOISY:
+                log.warning(NOISY_TEXT, 100 * wrong)
+        return replace(types, landing=landing)
 
 
 class Perfect(Clusterer):
@@ -167,10 +167,10 @@ class UserTypes:
         return replace(own, accept=np.full(len(own), self.landing.mean))
 
     @property
-    def by_observers(self) -> dict[tuple[int, ...], Labeler]:
-        """The labeler of each cluster; the key is the cluster's observers."""
-        clusters = range(self.clustering.n_types)
-        return {tuple(self.clustering.members(t).tolist()): self.labelers[t] for t in clusters}
+    def wrong(self) -> NDArray[np.float64] | None:
+        """[N, n] P(a person of a type believes a fact incorrectly); None if unknown."""
+        own = [one for labeler in self.labelers if (one := labeler.wrong) is not None]
+        return np.stack(own) if len(own) == len(self.labelers) else None
 
 
 def label_table(
@@ -233,7 +233,6 @@ def learn_types(
     clustering: Clustering,
     trainer: LabelerTrainer,
     seed: int,
-    known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes:
     """Fits one labeler to the pooled labels of each cluster (paper, section 4.1). A cluster without
     labels gets the labeler of all observers.
@@ -244,16 +243,11 @@ def learn_types(
         trainer: fits the labelers.
         seed: seed of every fit. It is the same for all types, so a labeler depends only on its
             labels, not on the numbering of clusters.
-        known: labelers that were already fitted to this dataset with this trainer and seed; the key
-            is the observers of the cluster. These labelers are used again.
     """
     clusters = [clustering.members(t) for t in range(clustering.n_types)]
     trainer, answers, evidence = trainer.with_errors(dataset, clustering.assignment)
-    if answers is not None and {tuple(own.tolist()) for own in clusters} != {*(known or ())}:
-        known = None  # the error model was learned with other types
     labelers = tuple(
-        (known or {}).get(tuple(own.tolist()))
-        or trainer.fit(dataset.of(own) if np.isin(own, dataset.observer).any() else dataset, seed)
+        trainer.fit(dataset.of(own) if np.isin(own, dataset.observer).any() else dataset, seed)
         for own in clusters
     )
     names = tuple(f"type_{t}" for t in range(clustering.n_types))
@@ -285,7 +279,7 @@ def find_types(
     everyone = trainer.fit(observed.dataset, seed)
     _require_tested([everyone])  # before the types: too few labels fail early
     types = finder.find(observed, seed)
-    perfect = learn_perfect(observed, trainer, seed, types.by_observers)
+    perfect = learn_perfect(observed, trainer, seed, types)
     _require_tested(types.labelers)
     oracle, everything = oracle_labelers(perfect, observed), trainer.everything()
     once = LabelTableCache()
@@ -298,8 +292,7 @@ def find_types(
             everything=None if everything is None else everything.table(features, transitions),
         )
 
-    clustering, wrong = types.clustering, [labeler.wrong for labeler in types.labelers]
-    known = [own for own in wrong if own is not None]
+    clustering = types.clustering
     curve = np.zeros(0) if clustering.curve is None else clustering.curve
     found = KnownTypes(
         learned_types=types.names,
@@ -309,7 +302,7 @@ def find_types(
         curve=np.asarray(curve, dtype=float),
         rule=clustering.rule,
         habits=types.habits,
-        wrong=np.stack(known) if len(known) == len(wrong) else None,
+        wrong=types.wrong,
         new=clustering.new,
     )
     return found, tables
@@ -319,18 +312,21 @@ def learn_perfect(
     observed: Observations,
     trainer: LabelerTrainer,
     seed: int,
-    known: Mapping[tuple[int, ...], Labeler] | None = None,
+    found: UserTypes | None = None,
 ) -> UserTypes | None:
     """Learns types under perfect clustering; their labelers are the paper's L_pc. None if the true
-    types of the observers are unknown. ``known`` has labelers that need not be fitted again, as in
-    :func:`learn_types`.
+    types of the observers are unknown. ``found`` are types that were learned from these labels with
+    this trainer and seed; they are returned if their clustering is perfect.
 
     Raises:
         XplainError: too few labels to hold some out.
     """
     if observed.behaviour is None:
         return None
-    return learn_types(observed.dataset, Perfect().cluster(observed, 0), trainer, seed, known)
+    perfect = Perfect().cluster(observed, 0)
+    if found is not None and np.array_equal(found.clustering.assignment, perfect.assignment):
+        return found
+    return learn_types(observed.dataset, perfect, trainer, seed)
 
 
 def oracle_labelers(

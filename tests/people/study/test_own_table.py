@@ -22,7 +22,8 @@ from xplain.errors import InputError
 from xplain.explanation.anybody import Open
 from xplain.explanation.belief import NO_FIT
 from xplain.explanation.message_sets import mask_of
-from xplain.learning.saved import LearnedTypes, TableLabeler
+from xplain.learning.labelers import TableLabeler
+from xplain.learning.saved import LearnedTypes
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan

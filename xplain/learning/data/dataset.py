@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,6 +48,13 @@ class Dataset:
     def n_messages(self) -> int:
         """n, the number of messages."""
         return len(self.messages)
+
+    @cached_property
+    def rows(self) -> list[NDArray[np.int64]]:
+        """For each observer, the indices of their labels, ascending."""
+        order = np.argsort(self.observer, kind="stable")
+        begin = np.searchsorted(self.observer[order], np.arange(1, len(self.observers)))
+        return np.split(order, begin)
 
     def of(self, observers: NDArray[np.int64]) -> Dataset:
         """Returns the dataset with only the labels by these observers. Observers, features and

@@ -9,6 +9,9 @@ process assigns observers to classes; its variables are drawn in blocks (Ishwara
 are averaged over all draws, because a single draw shows too little uncertainty.
 """
 
+from collections.abc import Iterator
+from itertools import islice
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, gammaln, softmax
@@ -47,91 +50,101 @@ def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: in
     expected, drawn = np.zeros(shape), []
     best, chosen = -np.inf, np.zeros(shape[0], dtype=np.int64)
     for chain in range(chains):
-        state = _Chain(ones, total, concentration, stream(seed, "answer classes", chain))
-        for sweep in range(SWEEPS):
-            before, score = state.assignment, state.sweep()
-            if sweep >= WARM_UP:
-                expected += state.expected
-                drawn.append(len(np.unique(before)))
-                best, chosen = max((score, before), (best, chosen), key=lambda one: one[0])
+        rng = stream(seed, "answer classes", chain)
+        for score, classes, one in islice(
+            _sweep(ones, total - ones, concentration, rng), WARM_UP, SWEEPS
+        ):
+            expected += one
+            drawn.append(int(classes.max()) + 1)
+            best, chosen = max((score, classes), (best, chosen), key=lambda own: own[0])
     expected /= len(drawn)
     return Clustering(
         chosen, "dirichlet", "posterior", posterior=shares_of(drawn), expected=expected
     )
 
 
-class _Chain:
-    """The state of a chain of draws.
+def _sweep(
+    ones: NDArray[np.float64],
+    zeros: NDArray[np.float64],
+    concentration: float,
+    rng: np.random.Generator,
+) -> Iterator[tuple[float, NDArray[np.int64], NDArray[np.float64]]]:
+    """Draws all variables again and again.
 
     Args:
-        ones, total: [O, T] number of answers 1, and of all answers.
+        ones, zeros: [O, T] number of answers 1, and of answers 0.
         concentration: prior mean of α.
         rng: random stream of every draw.
 
-    Attributes:
-        assignment: [O] class of each observer.
-        expected: [O, T] probability that the observer answers 1, computed with the assignment
-            before the last sweep.
+    Yields:
+        For each sweep: the log of the joint probability of the classes and the answers, up to a
+        constant, with α at its prior mean; [O] the class of each observer, numbered from 0; [O, T]
+        the probability that the observer answers 1.
     """
-
-    def __init__(
-        self,
-        ones: NDArray[np.float64],
-        total: NDArray[np.float64],
-        concentration: float,
-        rng: np.random.Generator,
-    ) -> None:
-        self.ones, self.zeros, self.rng = ones, total - ones, rng
-        self.mean = (ones.sum(axis=0) + 1) / (total.sum(axis=0) + 2)
-        self.rate = 1 / concentration
-        self.alpha, self.shrinkage = concentration, float(np.median(SHRINKAGE))
-        self.assignment = rng.integers(0, STARTS, len(ones))
-
-    def sweep(self) -> float:
-        """Draws all variables once. Returns the log of the joint probability of the previous
-        classes and the answers, up to a constant, with α at its prior mean."""
-        rng = self.rng
-        self.assignment = np.unique(self.assignment, return_inverse=True)[1]  # classes in use first
-        member = np.eye(MOST)[self.assignment]
-        size, ones, zeros = member.sum(axis=0), member.T @ self.ones, member.T @ self.zeros
+    mean = (ones.sum(axis=0) + 1) / ((ones + zeros).sum(axis=0) + 2)
+    alpha, assignment = concentration, rng.integers(0, STARTS, len(ones))
+    while True:
+        assignment = np.unique(assignment, return_inverse=True)[1]  # classes in use first
+        member = np.eye(MOST)[assignment]
+        size, one, zero = member.sum(axis=0), member.T @ ones, member.T @ zeros
         own = size[size > 0]
-        score = self._draw_shrinkage(ones, zeros)
-        score += float(gammaln(own).sum() - len(own) * np.log(self.rate))
-        share = self._draw_shares(own)
-        c = self.shrinkage
-        first, second = c * self.mean + ones, c * (1 - self.mean) + zeros
-        one = rng.beta(first, second).clip(1e-9, 1 - 1e-9)  # [K, T]
-        joint = self.ones @ np.log(one).T + self.zeros @ np.log1p(-one).T + share
-        self.expected = (first / (first + second))[self.assignment]
+        c, score = _draw_shrinkage(mean, one, zero, rng)
+        score += float(gammaln(own).sum() - len(own) * np.log(1 / concentration))
+        alpha, share = _draw_shares(own, alpha, 1 / concentration, rng)
+        first, second = c * mean + one, c * (1 - mean) + zero
+        p = rng.beta(first, second).clip(1e-9, 1 - 1e-9)  # [K, T]
+        yield score, assignment, (first / (first + second))[assignment]
+        joint = ones @ np.log(p).T + zeros @ np.log1p(-p).T + share
         below = softmax(joint, axis=1).cumsum(axis=1) < rng.random((len(joint), 1))
-        self.assignment = below.sum(axis=1).clip(0, MOST - 1)
-        return score
+        assignment = below.sum(axis=1).clip(0, MOST - 1)
 
-    def _draw_shares(self, size: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Draws α given the number of classes in use (Escobar & West 1995, section 6). Then draws
-        the shares of K classes given α, and returns their logs [K].
 
-        The shares of the classes in use, and the total share of all unused classes, have a
-        Dirichlet distribution. The total share of the unused classes is divided among them by stick
-        breaking.
-        """
-        rng, n, k = self.rng, float(size.sum()), len(size)
-        rate = self.rate - np.log(rng.beta(self.alpha + 1, n))
-        more = rng.random() * (k + n * rate) < k
-        self.alpha = float(rng.gamma(k + more, 1 / rate))
-        drawn = rng.gamma(np.append(size, self.alpha))
-        drawn /= drawn.sum()
-        stick = rng.beta(1, self.alpha, MOST - k)
-        stick[1:] *= np.cumprod(1 - stick[:-1])
-        return np.asarray(np.log(np.append(drawn[:-1], drawn[-1] * stick) + 1e-300))
+def _draw_shares(
+    size: NDArray[np.float64], alpha: float, rate: float, rng: np.random.Generator
+) -> tuple[float, NDArray[np.float64]]:
+    """Draws α given the number of classes in use (Escobar & West 1995, section 6), and then the
+    shares of K classes given α.
 
-    def _draw_shrinkage(self, ones: NDArray[np.float64], zeros: NDArray[np.float64]) -> float:
-        """Draws the strength c, with P[k, q] integrated out. Returns the log likelihood of the
-        answers given the drawn c."""
-        value = np.empty(len(SHRINKAGE))
-        for i, c in enumerate(SHRINKAGE):
-            first, second = c * self.mean, c * (1 - self.mean)
-            value[i] = (betaln(first + ones, second + zeros) - betaln(first, second)).sum()
-        chosen = int(self.rng.choice(len(value), p=softmax(value)))
-        self.shrinkage = float(SHRINKAGE[chosen])
-        return float(value[chosen])
+    The shares of the classes in use, and the total share of all unused classes, have a Dirichlet
+    distribution. The total share of the unused classes is divided among them by stick breaking.
+
+    Args:
+        size: [classes in use] number of observers.
+        alpha: the previous α.
+        rate: 1 / the prior mean of α.
+        rng: random stream.
+
+    Returns:
+        The new α, and the logs of the shares [K].
+    """
+    n, k = float(size.sum()), len(size)
+    rate = rate - np.log(rng.beta(alpha + 1, n))
+    more = rng.random() * (k + n * rate) < k
+    alpha = float(rng.gamma(k + more, 1 / rate))
+    drawn = rng.gamma(np.append(size, alpha))
+    drawn /= drawn.sum()
+    stick = rng.beta(1, alpha, MOST - k)
+    stick[1:] *= np.cumprod(1 - stick[:-1])
+    return alpha, np.asarray(np.log(np.append(drawn[:-1], drawn[-1] * stick) + 1e-300))
+
+
+def _draw_shrinkage(
+    mean: NDArray[np.float64],
+    ones: NDArray[np.float64],
+    zeros: NDArray[np.float64],
+    rng: np.random.Generator,
+) -> tuple[float, float]:
+    """Draws the strength c, with P[k, q] integrated out.
+
+    Args:
+        mean: [T] prior mean of each question.
+        ones, zeros: [K, T] number of answers 1, and of answers 0, of each class.
+        rng: random stream.
+
+    Returns:
+        c, and the log likelihood of the answers given c.
+    """
+    first, second = SHRINKAGE[:, None, None] * mean, SHRINKAGE[:, None, None] * (1 - mean)
+    value = (betaln(first + ones, second + zeros) - betaln(first, second)).sum(axis=(1, 2))
+    chosen = int(rng.choice(len(value), p=softmax(value)))
+    return float(SHRINKAGE[chosen]), float(value[chosen])

@@ -31,6 +31,7 @@ from xplain.learning.labelers import (
     Labeler,
     LabelerTrainer,
     MeasuredLabeler,
+    TableLabeler,
     by_sets,
     cheap,
     check_tested_messages,
@@ -39,14 +40,13 @@ from xplain.learning.labelers import (
 from xplain.learning.mixture.likelihood import (
     DEVIATION,
     ERROR,
-    Answers,
     Cells,
     KnownTransitions,
     by_level,
     cell_posterior,
     scale_errors,
 )
-from xplain.learning.mixture.partition import Partition, errors_of, learn_ways, partition
+from xplain.learning.mixture.partition import errors_of, learn_ways, partition
 from xplain.learning.prediction import log_likelihood
 from xplain.learning.types import Clustering
 
@@ -103,7 +103,7 @@ class HypothesisLabeler(MeasuredLabeler):
     def of(
         cls,
         known: KnownTransitions,
-        answers: Answers,
+        answers: Dataset,
         fit_alone: Callable[[], Labeler],
         given: NDArray[np.float64] | None = None,
         trust: float = 1.0,
@@ -112,21 +112,23 @@ class HypothesisLabeler(MeasuredLabeler):
         values of δ.
 
         Args:
-            known, fit_alone: see the class.
-            answers: P answers of people of the type.
+            known: the hypotheses; likely fact sets and their neighbours are added.
+            fit_alone: see the class.
+            answers: P answers of people of the type about known transitions.
             given: [P, 2, E] log P(answer | f) for f = 0 and 1 and each of E equally likely error
                 levels; None: all answers have the same error rate.
             trust: weight of the hypotheses.
         """
         given = by_level(answers.label) if given is None else given
+        known, about = known.grow(answers), (answers.transition, answers.message_set)
         facts = known.find_supported(answers)
         prior = np.log(known.prior_of(facts) + 1e-300)
-        joint = Cells.of(known, answers, facts).log_likelihood(given)
+        joint = Cells.of(known, *about, facts).log_likelihood(given)
         joint += prior[:, None, None, None] + known.log_prior[:, :, None]
         posterior = np.exp(joint - logsumexp(joint))
         kept = posterior.sum(axis=(1, 2, 3)) > KEPT
         posterior = posterior[kept] / posterior[kept].sum()
-        cells = Cells.of(known, answers, facts[kept])
+        cells = Cells.of(known, *about, facts[kept])
         zero, one = cells.sum_evidence(given)
         of_cell = cell_posterior(cells.one[..., None], one - zero)
         made = cls(
@@ -157,7 +159,7 @@ class HypothesisLabeler(MeasuredLabeler):
         """P(people of the type believe a fact incorrectly that no hypothesis contains)."""
         return float(self.weight[(self.facts & self.known.unwritten) > 0].sum())
 
-    def log_answered(self, answers: Answers) -> NDArray[np.float64]:
+    def log_answered(self, answers: Dataset) -> NDArray[np.float64]:
         """Computes [P] the log probability of further answers. An answer differs from the label
         with the mean error rate of the posterior ``level``."""
         one = self.predict_known(answers.transition, answers.message_set)
@@ -182,9 +184,9 @@ class HypothesisLabeler(MeasuredLabeler):
         self, transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """Computes [P] P(f = 1) of known transitions [P] given message sets [P]."""
-        asked, result = Answers(transition, told, transition), np.zeros(len(transition))
+        result = np.zeros(len(transition))
         for r in range(len(self.facts)):
-            cells = Cells.of(self.known, asked, self.facts[[r]])
+            cells = Cells.of(self.known, transition, told, self.facts[[r]])
             one = (cells.one * self.weight[r]).sum(axis=(1, 2))
             own = np.flatnonzero(self.cells.which == r)
             _, here, there = np.intersect1d(
@@ -302,9 +304,9 @@ class KnownAnswers:
 
     Attributes:
         known: the hypotheses.
-        dataset: the dataset, reduced to these answers.
-        place: [T] for each transition of the dataset, the index in ``known`` of the transition with
-            the same features; −1 if the hypotheses do not contain it.
+        dataset: these answers, sorted by observer; its transitions are those of ``known``.
+        place: [T] for each transition of the full dataset, the index in ``known`` of the transition
+            with the same features; −1 if the hypotheses do not contain it.
     """
 
     known: KnownTransitions
@@ -316,26 +318,24 @@ class KnownAnswers:
         """Selects the answers of a dataset about known transitions. The dataset must have the
         features and messages of the hypotheses."""
         place = known.find(dataset.features)
-        return cls(known, dataset.take(np.flatnonzero(place[dataset.transition] >= 0)), place)
-
-    @cached_property
-    def of_observers(self) -> list[Answers]:
-        """The answers of each observer."""
-        every, observer = self._find_answers(self.dataset), self.dataset.observer
-        number = len(self.dataset.observers)
-        return [every.take(np.flatnonzero(observer == o)) for o in range(number)]
+        rows = np.concatenate(dataset.rows)
+        own = dataset.take(rows[place[dataset.transition[rows]] >= 0])
+        features = known.features.astype(np.float64)
+        return cls(known, replace(own, features=features, transition=place[own.transition]), place)
 
     @cached_property
     def grown(self) -> KnownTransitions:
         """The hypotheses, extended by the fact sets that any observer's answers make likely."""
         known = self.known
-        for own in self.of_observers:
+        for own in map(self.dataset.take, self.dataset.rows):
             known = known.with_sets(self.known.grow(own).find_supported(own))
         return known
 
-    def partition(self, concentration: float) -> Partition:
+    def partition(
+        self, concentration: float
+    ) -> tuple[NDArray[np.int64], AnswerModel, NDArray[np.float64] | None]:
         """Finds the most likely types, with concentration α of the Chinese restaurant process."""
-        return partition(self.grown, self.of_observers, concentration)
+        return partition(self.grown, self.dataset, concentration)
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
         """Finds the types of :meth:`partition`, with the expected answers to all transitions of the
@@ -359,7 +359,7 @@ class KnownAnswers:
         data = self.dataset
 
         def by_hypotheses(train: Dataset, test: Dataset) -> NDArray[np.float64]:
-            return self._fit_labeler(train).log_answered(self._find_answers(test))
+            return self._fit_labeler(train).log_answered(test)
 
         def by_labels(train: Dataset, test: Dataset) -> NDArray[np.float64]:
             return log_likelihood(cheap().fit(train, 0), test)
@@ -373,30 +373,13 @@ class KnownAnswers:
     def _fit_labeler(self, data: Dataset) -> HypothesisLabeler:
         """Fits a labeler to people of one type. All answers are assumed to have the same error
         rate."""
-        return self.labeler(data, partial(cheap().fit, data, 0))
-
-    def labeler(
-        self, data: Dataset, alone: Callable[[], Labeler], *about: Any
-    ) -> HypothesisLabeler:
-        """Fits a labeler to people of one type.
-
-        Args:
-            data: answers of these people.
-            alone: fits a labeler to the labels alone.
-            about: the arguments ``given`` and ``trust`` of :meth:`HypothesisLabeler.of`, if any.
-        """
-        answers = self._find_answers(data)
-        return HypothesisLabeler.of(self.known.grow(answers), answers, alone, *about)
-
-    def _find_answers(self, data: Dataset) -> Answers:
-        label = data.label.astype(np.int64)
-        return Answers(self.place[data.transition], data.message_set, label)
+        return HypothesisLabeler.of(self.known, data, partial(cheap().fit, data, 0))
 
 
-@dataclass(frozen=True)
-class EverythingWrong(Labeler):
+@dataclass(frozen=True, kw_only=True)
+class EverythingWrong(TableLabeler):
     """A labeler for a person who believes every fact incorrectly. It predicts from the hypotheses
-    alone.
+    alone, and distinguishes transitions with equal features if their states are given.
 
     Attributes:
         known: hypotheses that contain every set of the facts; there are at most DENSE facts.
@@ -404,30 +387,17 @@ class EverythingWrong(Labeler):
 
     known: KnownTransitions
 
-    @property
-    def n_messages(self) -> int:  # type: ignore[override]
-        """n, the number of messages."""
-        return self.known.hypotheses.n_messages
-
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
         """Makes the table of P(label = 1), by the hypotheses; ½ for transitions that the hypotheses
         do not contain."""
-        hypotheses, sets = self.known.hypotheses, np.arange(1 << self.n_messages)
-        rows = hypotheses.row(sets[-1] & ~sets)
-        place = self.known.find(features)
-        one = np.where(place >= 0, self.known.share[0][rows][:, place], 0.5).T
+        table = super().table(features)
         if transitions is not None:
             exact = self.known.find_exactly(features, transitions[:, [0, 2]])
-            one[exact >= 0] = hypotheses.labels[rows][:, exact[exact >= 0]].T
-        return LabelTable.dense(np.clip(one, EDGE, 1 - EDGE)[None])
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Returns a table of all known transitions, for a file of types."""
-        features = self.known.features
-        return {"rows": features, "table": self.table(features.astype(np.float64)).array(
-            self.n_messages)[0]}  # fmt: skip
+            labels = self.known.hypotheses.labels[::-1, exact[exact >= 0]]
+            table.p[exact >= 0, :, 0] = np.clip(labels.T, EDGE, 1 - EDGE)
+        return table
 
 
 @dataclass(frozen=True)
@@ -445,7 +415,8 @@ class HypothesisTrainer(LabelerTrainer):
         path: an ``.npz`` file of hypotheses with features; None: the hypotheses of the observers'
             domain.
         hypotheses: used instead of ``path`` and of the domain's hypotheses.
-        answers: error model of the dataset's answers; None: all answers have the same error rate.
+        answers: error model of the answers about known transitions; None: all answers have the same
+            error rate.
         evidence: how well the dataset's answers were predicted; None: hypotheses are trusted.
         types: [O] types of the dataset's observers, as in ``evidence``.
     """
@@ -485,12 +456,12 @@ class HypothesisTrainer(LabelerTrainer):
         asked, given, trust = KnownAnswers.of(self.known, dataset), None, 1.0
         own = asked.dataset
         if self.answers is not None:
-            label = own.label.astype(np.int64)
-            given = scale_errors(self.answers.log_given(own.transition, own.observer, label), label)
+            given = scale_errors(self.answers.log_given(own), own.label)
         if self.evidence is not None and self.types is not None:
             trust = float(self.evidence.trust[self.types[own.observer]].mean())
         trainer = self._alone if dataset.n_messages <= DENSE else cheap()
-        return asked.labeler(own, partial(trainer.fit, dataset, seed), given, trust)
+        alone = partial(trainer.fit, dataset, seed)
+        return HypothesisLabeler.of(self.known, own, alone, given, trust)
 
     @property
     def _alone(self) -> LabelerTrainer:
@@ -505,13 +476,13 @@ class HypothesisTrainer(LabelerTrainer):
         known = self.select_known_answers(dataset)
         if known is None:
             return self, self.answers, self.evidence
-        made = errors_of(known.grown, known.of_observers, assignment)
+        made = errors_of(known.grown, known.dataset, assignment)
         where = [*known.place, -1]
-        ways = learn_ways(known.known, known.of_observers)
+        ways = learn_ways(known.known, known.dataset)
         answers = replace(made, slip=made.slip[where], guess=made.guess[where], ways=ways)
         evidence = known.evidence(assignment)
         return (
-            replace(self, answers=answers, types=assignment, evidence=evidence),
+            replace(self, answers=made, types=assignment, evidence=evidence),
             answers,
             evidence,
         )
@@ -519,8 +490,14 @@ class HypothesisTrainer(LabelerTrainer):
     def everything(self) -> Labeler | None:
         """Returns the labeler of a person who believes every fact incorrectly; None if not all fact
         sets are hypotheses, or if there are too many facts."""
-        n, sets = self.known.hypotheses.n_messages, len(self.known.hypotheses.facts)
-        return EverythingWrong(self.known) if n <= DENSE and sets == 1 << n else None
+        known, n = self.known, self.known.hypotheses.n_messages
+        if n > DENSE or len(known.hypotheses.facts) < 1 << n:
+            return None
+        # Row R of the table has the labels of people who believe R incorrectly. After the messages
+        # H this is the complement of H.
+        values = np.clip(known.share[0, ::-1].T, EDGE, 1 - EDGE)
+        about: dict[str, Any] = {"n_messages": n, "confidence": np.nan, "n_test": 1}
+        return EverythingWrong(known=known, rows=known.features, values=values, **about)
 
     def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
         """Computes [2^n, T] P(label = 1) of a dataset's transitions by the facts believed
@@ -528,8 +505,7 @@ class HypothesisTrainer(LabelerTrainer):
         asked = self.select_known_answers(dataset)
         if asked is None or self.everything() is None:
             return None
-        rows = self.known.hypotheses.row(np.arange(1 << dataset.n_messages))
-        return np.where(asked.place >= 0, self.known.share[0][rows][:, asked.place], 1.0)
+        return np.where(asked.place >= 0, self.known.share[0][:, asked.place], 1.0)
 
     def select_known_answers(self, dataset: Dataset) -> KnownAnswers | None:
         """Selects the answers about transitions that the hypotheses contain; None if there are no

@@ -20,10 +20,9 @@ the likely sets and their neighbours; a missing set differs from every likely se
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +32,7 @@ from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import DomainError, TooLargeError
 from xplain.learning.answers import sum_by_group
-from xplain.learning.data.dataset import number_rows, places
+from xplain.learning.data.dataset import Dataset, number_rows, places
 
 log = logging.getLogger(__name__)
 
@@ -100,7 +99,7 @@ def posterior_by(
     hypotheses: Hypotheses,
     transitions: NDArray[np.int64],
     told: NDArray[np.int64],
-    labels: NDArray[np.int64],
+    labels: NDArray[np.integer],
 ) -> NDArray[np.float64]:
     """Computes the posterior of the candidates given the answers of one type. One answer in twenty
     is assumed to be wrong.
@@ -130,29 +129,6 @@ SUPPORTED = 1e-3
 the answers of one observer or one type, are compared in more detail with all answers."""
 
 
-class Answers(NamedTuple):
-    """P answers about transitions of the hypotheses.
-
-    Attributes:
-        transition: [P] index of the transition in :class:`KnownTransitions`.
-        message_set: [P] messages given before the answer.
-        label: [P] the answer, 0 or 1.
-    """
-
-    transition: NDArray[np.int64]
-    message_set: NDArray[np.int64]
-    label: NDArray[np.int64]
-
-    @classmethod
-    def join(cls, parts: Iterable[Answers]) -> Answers:
-        """Joins several sets of answers, one after the other."""
-        return cls(*map(np.concatenate, zip(*parts, strict=True)))
-
-    def take(self, rows: NDArray[np.int64]) -> Answers:
-        """Returns the answers with the indices ``rows``."""
-        return Answers(*(column[rows] for column in self))
-
-
 @dataclass(frozen=True)
 class KnownTransitions:
     """Label table of the hypotheses with one column for each distinct row of features. Transitions
@@ -171,12 +147,14 @@ class KnownTransitions:
         hypotheses: hypotheses with features, including the candidates with unwritten facts.
         unwritten: facts that no hypothesis contains, as a bitmask.
         features: [U, F] float32, distinct rows of F features.
+        first: [U] the first transition of the hypotheses with each row of features.
         share: [1 + V, C, U] float64, share of the transitions with these features that are labelled
             1.
     """
 
     hypotheses: Hypotheses
     features: NDArray[np.float32]
+    first: NDArray[np.int64]
     share: NDArray[np.float64]
     unwritten: int = 0
 
@@ -186,13 +164,13 @@ class KnownTransitions:
         assert hypotheses.features is not None
         hypotheses, unwritten = _add_unwritten(hypotheses)
         rows = np.asarray(hypotheses.features, dtype=np.float32)
-        distinct, which = np.unique(rows, axis=0, return_inverse=True)
+        distinct, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         member = which.ravel() == np.arange(len(distinct))[:, None]
         share = hypotheses.tables @ (member / member.sum(axis=1, keepdims=True)).T
         share *= _compute_certainty(hypotheses.facts, unwritten)[:, None]
-        return cls(hypotheses, distinct, share, unwritten)
+        return cls(hypotheses, distinct, first, share, unwritten)
 
-    def grow(self, answers: Answers) -> KnownTransitions:
+    def grow(self, answers: Dataset) -> KnownTransitions:
         """Adds all neighbours (sets with one further fact) of each candidate that is likely given
         the answers of one type, until every neighbour of a likely candidate is a candidate."""
         found = grow(self.hypotheses, lambda known: self._compute_posterior(known, answers))
@@ -203,7 +181,7 @@ class KnownTransitions:
         found = self.hypotheses.with_sets(facts)
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
-    def find_supported(self, answers: Answers) -> NDArray[np.int64]:
+    def find_supported(self, answers: Dataset) -> NDArray[np.int64]:
         """Returns the distinct sets of essential facts (bitmasks, ascending) of the probable
         candidates, given the answers of one type. If all fact sets are candidates, returns the sets
         of all candidates."""
@@ -212,17 +190,11 @@ class KnownTransitions:
         posterior = self._compute_posterior(self.hypotheses, answers)
         return np.unique(self.essential[posterior >= min(SUPPORTED, posterior.max())])
 
-    def _compute_posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
+    def _compute_posterior(self, hypotheses: Hypotheses, answers: Dataset) -> NDArray[np.float64]:
         """Computes the posterior [C] of the candidates given the answers of one type. One
         transition represents all transitions with the same features."""
-        column = self._column[answers.transition]
-        return posterior_by(hypotheses, column, answers.message_set, answers.label)
-
-    @cached_property
-    def _column(self) -> NDArray[np.int64]:
-        """[U] the index of one transition for each row of features."""
-        rows = np.asarray(self.hypotheses.features, dtype=np.float32)
-        return np.unique(rows, axis=0, return_index=True)[1]
+        transition = self.first[answers.transition]
+        return posterior_by(hypotheses, transition, answers.message_set, answers.label)
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
@@ -361,7 +333,7 @@ ERROR = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """The possible values of ε, equally likely."""
 
 
-def by_level(label: NDArray[np.int64]) -> NDArray[np.float64]:
+def by_level(label: NDArray[np.integer]) -> NDArray[np.float64]:
     """Computes [P, 2, E] log P(answer | f, ε) of P answers, for f = 0 and 1 and for each of the E
     error rates ε in :data:`ERROR`."""
     right = label[:, None] == np.arange(2)
@@ -374,7 +346,7 @@ equally likely. Many contradictions in a cell are then explained by f rather tha
 as well."""
 
 
-def scale_errors(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.float64]:
+def scale_errors(given: NDArray[np.float64], label: NDArray[np.integer]) -> NDArray[np.float64]:
     """Computes log P(answer | f) with error rates multiplied by each of the E factors in
     :data:`SCALE`.
 
@@ -410,11 +382,18 @@ class Cells:
     one: NDArray[np.float64]
 
     @classmethod
-    def of(cls, known: KnownTransitions, answers: Answers, facts: NDArray[np.int64]) -> Cells:
-        """Finds the cells of P answers for people who believe ``facts`` [R] incorrectly."""
-        held = known.hypotheses.row(facts[:, None] & ~answers.message_set)
+    def of(
+        cls,
+        known: KnownTransitions,
+        transition: NDArray[np.int64],
+        told: NDArray[np.int64],
+        facts: NDArray[np.int64],
+    ) -> Cells:
+        """Finds the cells of P answers about known transitions, after the messages ``told`` [P],
+        for people who believe ``facts`` [R] incorrectly."""
+        held = known.hypotheses.row(facts[:, None] & ~told)
         size = known.share[0].size
-        key = held * known.share.shape[2] + answers.transition
+        key = held * known.share.shape[2] + transition
         cells, where = np.unique(key + size * np.arange(len(facts))[:, None], return_inverse=True)
         key = cells % size
         return cls(cells // size, where.reshape(held.shape), key, known.truth(key))

@@ -15,7 +15,6 @@ merging types finds the most likely partition (both methods are compared in benc
 from collections.abc import Sequence
 from functools import reduce
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +24,11 @@ from xplain.explanation import anybody
 from xplain.explanation.habits import WAYS
 from xplain.explanation.label_table import DENSE
 from xplain.explanation.message_sets import bits_of
-from xplain.learning import answers as answer_model
-from xplain.learning.answers import AnswerModel, CellAnswers, sum_by_group
+from xplain.learning.answers import RATES, AnswerModel, learn_answers, sum_by_group
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.mixture.likelihood import (
     ERROR,
     WRONG,
-    Answers,
     Cells,
     KnownTransitions,
     by_level,
@@ -46,9 +44,7 @@ STEPS = 3
 
 def mixture(
     known: KnownTransitions,
-    answers: Answers,
-    person: NDArray[np.int64],
-    people: int,
+    answers: Dataset,
     facts: NDArray[np.int64],
     log_new: NDArray[np.float64],
     level: float,
@@ -57,9 +53,7 @@ def mixture(
 
     Args:
         known: the hypotheses.
-        answers: P answers.
-        person: [P] the person who gave each answer.
-        people: O, the number of people, including people without answers.
+        answers: P answers of O people about known transitions.
         facts: [R] the fact sets that people may have, as bitmasks.
         log_new: [R] log prior weight of each fact set.
         level: initial value of slips and guesses.
@@ -70,13 +64,13 @@ def mixture(
         [O, U] P(answer 1) of each person without messages, for each of the U rows of features in
         the hypotheses; None if some people received messages.
     """
-    cells, questions = Cells.of(known, answers, facts), known.share.shape[2]
+    person, people, questions = answers.observer, len(answers.observers), len(known.features)
+    cells = Cells.of(known, answers.transition, answers.message_set, facts)
     group = cells.where.T.ravel()
     one = before = cells.one.reshape(len(cells.one), -1)[cells.where.T]  # [P, R, (1 + V) D]
     prior = np.exp(log_new[:, None] + known.log_prior.ravel())
     share = prior = prior / prior.sum()
-    about = answers.transition, person, answers.label
-    each = CellAnswers(np.arange(len(person)), *about)
+    each = np.arange(len(answers))
     given = np.log(np.where(answers.label[:, None] == np.arange(2), 1 - level, level))
     made: AnswerModel | float = level
     for turn in range(ROUNDS):
@@ -86,8 +80,8 @@ def mixture(
         share = (weight.sum(axis=0) + prior) / (people + 1)
         others = softmax(joint[person] - log_each, axis=(1, 2))
         f = (others * one).sum(axis=(1, 2))  # f of each answer, from the person's other answers
-        made = answer_model.learn_answers(each, f, questions, people, made, STEPS)
-        given = made.log_given(*about)
+        made = learn_answers(answers, each, f, made, STEPS)
+        given = made.log_given(answers)
         said = weight[person] * np.diff(given)[:, :, None]  # log odds of f = 1, by fact set
         if turn >= AS_SAID:  # f also depends on all other answers in the cell
             total = sum_by_group(said.reshape(len(group), -1), group, len(cells.key))
@@ -101,7 +95,7 @@ def mixture(
     zero, both = made.predict(np.arange(questions))[:, :, 0].T[:, :, None, None]  # for error rate 0
     one = ((1 - f) * zero + f * both).reshape(questions, -1)
     expected = weight.reshape(people, -1) @ one.T
-    rate = (made.person[:-1] @ answer_model.RATES)[:, None]
+    rate = (made.person[:-1] @ RATES)[:, None]
     return weight.sum(axis=2), made, (1 - rate) * expected + rate * (1 - expected)
 
 
@@ -119,23 +113,9 @@ OBSERVERS = 15
 this number of observers is used, so at least half of the result is assumed."""
 
 
-class Partition(NamedTuple):
-    """Types of observers.
-
-    Attributes:
-        facts: [O] facts that each observer's type believes incorrectly.
-        answers: error model of the answers; each row of features counts as one question.
-        expected: [O, U] P(answer 1) of each observer without messages, for each of the U rows of
-            features. The mixture over all people predicts it, because it gives the hypotheses more
-            weight than the types do. None if some observers received messages.
-    """
-
-    facts: NDArray[np.int64]
-    answers: AnswerModel
-    expected: NDArray[np.float64] | None
-
-
-def partition(known: KnownTransitions, observers: list[Answers], concentration: float) -> Partition:
+def partition(
+    known: KnownTransitions, answers: Dataset, concentration: float
+) -> tuple[NDArray[np.int64], AnswerModel, NDArray[np.float64] | None]:
     """Finds the most likely partition of observers into types.
 
     At first each observer has the fact set that explains their own answers best. Types are merged
@@ -143,34 +123,38 @@ def partition(known: KnownTransitions, observers: list[Answers], concentration: 
 
     Args:
         known: the hypotheses.
-        observers: the answers of each observer.
+        answers: answers of O observers about known transitions, sorted by observer.
         concentration: α of the Chinese restaurant process.
+
+    Returns:
+        [O] facts that each observer's type believes incorrectly.
+        The error model of the answers.
+        [O, U] P(answer 1) of each observer without messages, as in :func:`mixture`. The mixture
+        predicts it, because it gives the hypotheses more weight than the types do.
     """
-    search = _Search(known, observers, concentration)
+    search = _Search(known, answers, concentration)
     alone = search.set_common_error()
     kept = np.union1d(alone.argmax(axis=1), np.flatnonzero(alone.max(axis=0) > CANDIDATE))
-    about = known, search.every, search.person, len(observers)
     candidates = search.facts[kept], search.log_new[kept]
-    weight, answers, expected = mixture(*about, *candidates, search.level)
-    search.use_errors(answers)
+    weight, model, expected = mixture(known, answers, *candidates, search.level)
+    search.use_errors(model)
     state = np.asarray(kept[weight.argmax(axis=1)])
     search.merge(state)
-    answers = search.learn(state)
+    model = search.learn(state)
     search.merge(state)
-    return Partition(search.facts[state], answers, expected)
+    return search.facts[state], model, expected
 
 
-def errors_of(
-    known: KnownTransitions, observers: list[Answers], types: NDArray[np.int64]
-) -> AnswerModel:
-    """Learns the error model of answers, given the types [O] of the observers."""
-    search = _Search(known, observers, 1.0)
+def errors_of(known: KnownTransitions, answers: Dataset, types: NDArray[np.int64]) -> AnswerModel:
+    """Learns the error model of answers, given the types [O] of the observers. ``known`` and
+    ``answers`` are as in :func:`partition`."""
+    search = _Search(known, answers, 1.0)
     search.set_common_error()
     search.learn(search.best_of(types))
     return search.learn(search.best_of(types))
 
 
-def learn_ways(known: KnownTransitions, observers: Sequence[Answers]) -> NDArray[np.float64]:
+def learn_ways(known: KnownTransitions, answers: Dataset) -> NDArray[np.float64]:
     """Estimates the shares [5] of people by their way of answering, as in WAYS.
 
     The facts of each observer are summed out. People of every way also err at the rate WRONG, so
@@ -180,7 +164,7 @@ def learn_ways(known: KnownTransitions, observers: Sequence[Answers]) -> NDArray
 
     Args:
         known: the hypotheses.
-        observers: the answers of each observer.
+        answers: answers of observers about known transitions.
     """
     facts, n = known.hypotheses.facts, known.hypotheses.n_messages
     if n > DENSE:
@@ -191,11 +175,12 @@ def learn_ways(known: KnownTransitions, observers: Sequence[Answers]) -> NDArray
     slip, guess = [0, anybody.ERROR, 0, 0.5], [0, anybody.ERROR, anybody.GUESS, 0.5]
     low, high = WRONG + (1 - 2 * WRONG) * np.array([guess, np.subtract(1, slip)])
     found = []
-    for transition, told, label in observers[:: -(-len(observers) // OBSERVERS)]:
+    for rows in answers.rows[:: -(-len(answers.rows) // OBSERVERS)]:
+        told, label = answers.message_set[rows], answers.label[rows]
         held = facts[:, None] & ~told
         stuck = held[who] | np.where(told == (1 << n) - 1, 0, 1 << kept[:, None])
         row = known.hypotheses.row(np.concatenate([held, stuck]))
-        f = known.share[0][row, transition][..., None]
+        f = known.share[0][row, answers.transition[rows]][..., None]
         one = f * high + (1 - f) * low  # [sets, answers, first four ways]
         each = np.log(np.where(label[:, None] == 1, one, 1 - one)).sum(axis=1)
         each += np.log(prior + 1e-300)[:, None]
@@ -216,15 +201,11 @@ class _Search:
     type's fact set in ``facts``.
     """
 
-    def __init__(
-        self, known: KnownTransitions, observers: list[Answers], concentration: float
-    ) -> None:
-        self.known, self.every = known, Answers.join(observers)
-        sizes = [len(one.label) for one in observers]
-        self.person = np.repeat(np.arange(len(observers)), sizes)
-        self.rows = np.split(np.arange(len(self.person)), np.cumsum(sizes)[:-1])
+    def __init__(self, known: KnownTransitions, answers: Dataset, concentration: float) -> None:
+        self.known, self.answers = known, answers
         # One candidate represents all candidates that behave alike.
-        self.facts = reduce(np.union1d, [known.find_supported(answers) for answers in observers])
+        supported = (known.find_supported(answers.take(rows)) for rows in answers.rows)
+        self.facts = reduce(np.union1d, supported)
         self.log_new = np.log(concentration) + np.log(known.prior_of(self.facts))
 
     def set_common_error(self) -> NDArray[np.float64]:
@@ -234,8 +215,8 @@ class _Search:
         Returns:
             [O, R] the posterior of each observer's fact set, at this error rate.
         """
-        levels = by_level(self.every.label)
-        alone = np.stack([self._log_sum(rows, self.facts, levels) for rows in self.rows])
+        levels = by_level(self.answers.label)
+        alone = np.stack([self._log_sum(rows, self.facts, levels) for rows in self.answers.rows])
         alone += self.log_new[:, None]
         likely = logsumexp(alone, axis=1).sum(axis=0).argmax()
         self.level, self.given = float(ERROR[likely]), levels[:, :, [likely]]
@@ -243,24 +224,22 @@ class _Search:
 
     def learn(self, state: NDArray[np.int64]) -> AnswerModel:
         """Learns the error model given the current types. The search then uses it."""
-        cell, priors, count = np.zeros(len(self.person), dtype=np.int64), [], 0
+        cell, priors, count = np.zeros(len(self.answers), dtype=np.int64), [], 0
         for r in np.unique(state).tolist():
-            rows = np.flatnonzero(state[self.person] == r)
-            cells = Cells.of(self.known, self.every.take(rows), self.facts[[r]])
+            rows = np.flatnonzero(state[self.answers.observer] == r)
+            own = self.answers.take(rows)
+            cells = Cells.of(self.known, own.transition, own.message_set, self.facts[[r]])
             weight = cells.log_likelihood(self.given[rows])[0, :, :, 0] + self.known.log_prior
             cell[rows] = count + cells.where[0]
             priors.append((cells.one * softmax(weight)).sum(axis=(1, 2)))
             count += len(cells.key)
-        about = CellAnswers(cell, self.every.transition, self.person, self.every.label)
-        sizes = self.known.share.shape[2], len(self.rows)
-        made = answer_model.learn_answers(about, np.concatenate(priors), *sizes, self.level)
+        made = learn_answers(self.answers, cell, np.concatenate(priors), self.level)
         self.use_errors(made)
         return made
 
     def use_errors(self, answers: AnswerModel) -> None:
         """Makes the search use this error model."""
-        about = self.every.transition, self.person, self.every.label
-        self.given = answers.log_given(*about)[:, :, None]
+        self.given = answers.log_given(self.answers)[:, :, None]
 
     def best_of(self, types: NDArray[np.int64]) -> NDArray[np.int64]:
         """Returns [O] the most likely fact set of each observer's type, given the members of the
@@ -276,7 +255,7 @@ class _Search:
     def _log_members(self, members: Sequence[int], facts: NDArray[np.int64]) -> NDArray[np.float64]:
         """Computes [R] log P(answers of the members | all members have the fact set) for each of
         the fact sets ``facts`` [R]."""
-        rows = np.concatenate([self.rows[o] for o in members])
+        rows = np.concatenate([self.answers.rows[o] for o in members])
         return self._log_sum(rows, facts, self.given)[:, 0]
 
     def _log_sum(
@@ -286,14 +265,16 @@ class _Search:
         set.
 
         Args:
-            rows: indices of the answers in ``every``.
+            rows: indices of the answers in ``answers``.
             facts: [R] fact sets.
             given: [P, 2, E] log P(answer | f) of all P answers, for f = 0 and 1 and E error levels.
 
         Returns:
             [R, E] log P(answers | fact set, error level).
         """
-        value = Cells.of(self.known, self.every.take(rows), facts).log_likelihood(given[rows])
+        own = self.answers.take(rows)
+        cells = Cells.of(self.known, own.transition, own.message_set, facts)
+        value = cells.log_likelihood(given[rows])
         return np.asarray(logsumexp(value + self.known.log_prior[:, :, None], axis=(1, 2)))
 
     def merge(self, state: NDArray[np.int64]) -> None:

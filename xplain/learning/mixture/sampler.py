@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, Range, TooLargeError, checks
-from xplain.learning.answers import AnswerModel, CellAnswers, learn_answers
+from xplain.learning.answers import AnswerModel, learn_answers
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observations
 from xplain.learning.mixture.classes import answer_classes
@@ -536,12 +536,10 @@ def _estimate_errors(dataset: Dataset, prior: Prior, state: ChainState) -> Answe
     matters = held & prior.members[state.subset[dataset.transition]]
     both = np.stack([dataset.transition, matters])
     cells, cell = np.unique(both, axis=1, return_inverse=True)
-    label = dataset.label.astype(np.int64)
-    about = CellAnswers(cell.ravel(), dataset.transition, dataset.observer, label)
     wrong = float(np.exp(state.log_noise) @ NOISE)
     # The share of cells with label 1 is estimated from the answers: with few answers in each
     # cell, a share that is too low would be taken for guesses.
     kind = (matters > 0).astype(np.int64)
-    ones = np.bincount(kind, label, 2) / np.bincount(kind, minlength=2).clip(1)
+    ones = np.bincount(kind, dataset.label, 2) / np.bincount(kind, minlength=2).clip(1)
     one = ((ones - wrong) / (1 - 2 * wrong)).clip(0.02, 0.98)[(cells[1] > 0).astype(np.int64)]
-    return learn_answers(about, one, len(dataset.features), len(dataset.observers), wrong)
+    return learn_answers(dataset, cell.ravel(), one, wrong)

@@ -113,8 +113,8 @@ def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArra
     hypotheses. Returns the facts [N] that each person's type believes incorrectly, and the share of
     wrong answers."""
     asked = _collect_answers(plan, people)
-    found, data = asked.partition(CONCENTRATION), asked.dataset
-    return found.facts, found.answers.wrong(asked.place[data.transition], data.observer)
+    facts, model, _ = asked.partition(CONCENTRATION)
+    return facts, model.wrong(asked.dataset.transition, asked.dataset.observer)
 
 
 def _collect_answers(plan: CollectPlan, people: Sequence[CollectState]) -> KnownAnswers:
