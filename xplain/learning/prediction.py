@@ -230,8 +230,6 @@ def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[
 
 def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:
     """Computes [P] log P of each label by one labeler."""
-    if not len(dataset):
-        return np.zeros(0)
     return _log_label(_predict_by_type((labeler,), dataset)[:, 0], dataset.label)
 
 

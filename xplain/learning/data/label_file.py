@@ -28,7 +28,6 @@ import shlex
 import unicodedata
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -264,8 +263,7 @@ def read_table(
     """
     table = read_cells(Path(path), key)
     _require_columns(table, path, key, ("observer", "label", *(features or ()), *ignore), like)
-    table = table if "messages" in table.columns else table.assign(messages="")
-    columns = {name: Column.of(key, name, table[name]) for name in table.columns}
+    columns = _find_columns(table, key)
     if features is None:
         others = [name for name in columns if name not in {*COLUMNS, *ignore}]
         sure = {*like, *(name.partition("=")[0] for name in like)}
@@ -274,18 +272,15 @@ def read_table(
         raise InputError(key, [*COLUMNS, *features], "each column once")
     if not features:
         raise InputError(key, str(path), "needs a column that describes the transition")
-    described = features_of([columns[name] for name in features], like)
     label = columns["label"]
     label.refuse([word in MISSING for word in label.words], "missing")
     truth = {"true": 1.0, "false": 0.0}
     numbers = np.array([truth.get(word.lower(), _read_float(word)) for word in label.words])
     label.refuse(~np.isin(numbers, (0, 1)), "no label", "; a label is 0 or 1")
-    dataset = _make_dataset(columns, described, numbers.astype(np.uint8)[label.code], messages)
+    said = numbers.astype(np.uint8)[label.code]
+    dataset = _make_dataset(columns, features, said, messages, like)
     if not under_way:
         _check_dataset(dataset, key)
-    if like:
-        ordered = put_in_order(dataset.features, dataset.feature_names, like, key)
-        dataset = replace(dataset, features=ordered, feature_names=tuple(like))
     rows, steps = len(dataset), len(dataset.features)
     log.info("%s: %d steps by the features %s", key, steps, ", ".join(features))
     if steps > NEARLY_ALL * rows and len(features) > 1:
@@ -313,15 +308,10 @@ def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Datas
         InputError: the rows do not fit ``like``.
     """
     table, names = read_cells(Path(path), "predict"), like.feature_names
-    features = dict.fromkeys(name.partition("=")[0] for name in names)
+    features = [*dict.fromkeys(name.partition("=")[0] for name in names)]
     _require_columns(table, path, "predict", ("observer", *features))
-    asked = table if "messages" in table.columns else table.assign(messages="")
-    wanted = ("observer", "messages", *features)
-    columns = {name: Column.of("predict", name, asked[name]) for name in wanted}
-    found = features_of([columns[name] for name in features], names)
-    described = put_in_order(*found, names, "predict"), names
-    label = np.zeros(len(table), dtype=np.uint8)
-    return table, _make_dataset(columns, described, label, like.messages)
+    columns, label = _find_columns(table, "predict"), np.zeros(len(table), dtype=np.uint8)
+    return table, _make_dataset(columns, features, label, like.messages, names)
 
 
 def write_table(dataset: Dataset, path: str | Path) -> None:
@@ -533,25 +523,36 @@ def _is_row_number(
     return fixed or column.different_with(*others) > values
 
 
+def _find_columns(table: pd.DataFrame, key: str) -> dict[str, Column]:
+    """Returns the columns by name. Without a column ``messages``, nobody received messages."""
+    table = table if "messages" in table.columns else table.assign(messages="")
+    return {name: Column.of(key, name, table[name]) for name in table.columns}
+
+
 def _make_dataset(
     columns: Mapping[str, Column],
-    described: tuple[NDArray[np.float64], tuple[str, ...]],
+    described: Sequence[str],
     label: NDArray[np.uint8],
     messages: Sequence[str] | None,
+    like: Sequence[str],
 ) -> Dataset:
-    """Makes the dataset of labels [P] about transitions with these features [P, F] and names."""
+    """Makes the dataset of labels [P]. The columns ``described`` describe the transitions; the
+    other arguments are as in :func:`read_table`."""
     import pandas as pd
 
-    features, names = described
+    features, names = features_of([columns[name] for name in described], like)
     table = pd.DataFrame(features)
     number = table.groupby([*table.columns], sort=True).ngroup()
     transition = np.asarray(number, dtype=np.int64)
+    distinct = features[np.unique(transition, return_index=True)[1]]
     observer = columns["observer"]
     observer.refuse(observer.words == "", "missing")
     observer.warn_of_similar()
     message_set, known = message_sets(columns["messages"], messages)
+    if like:
+        distinct, names = put_in_order(distinct, names, like, observer.key), tuple(like)
     return Dataset(
-        features=features[np.unique(transition, return_index=True)[1]],
+        features=distinct,
         feature_names=names,
         messages=known,
         observers=tuple(observer.words),
