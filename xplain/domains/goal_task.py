@@ -84,8 +84,7 @@ class GoalTask(TaskModel):
         dead_end_cost: cost of a state without a plan. Plans with this cost or more do not count.
         start: start state; it must have a plan.
         imagined: [S] for a user who believes in another start: the state that this user imagines
-            instead of each true state; −1 if this state is not in ``space``. None for a user who
-            sees the true states.
+            instead of each true state. None for a user who sees the true states.
     """
 
     space: StateSpace
@@ -172,10 +171,8 @@ class GoalTask(TaskModel):
         s, a, after = transitions.T
         if self.imagined is not None:
             s, after = self.imagined[s], self.imagined[after]
-        result = (s >= 0) & (after >= 0)
-        seen = self._number_transitions(s[result], a[result], after[result])
-        result[result] = np.isin(seen, self._number_transitions(*self.on_policy().T))
-        return result.astype(np.uint8)
+        best = self._number_transitions(*self.on_policy().T)
+        return np.isin(self._number_transitions(s, a, after), best).astype(np.uint8)
 
     def steps_from(self, state: int) -> NDArray[np.float64]:
         """Computes [S] the number of actions on the shortest path from a state; ∞ if there is no
@@ -202,11 +199,6 @@ class GoalTask(TaskModel):
         """[S, A, 1] of 0 and 1, as in :class:`~xplain.domains.mdp.MDP`."""
         return self._make_table(np.ones(len(self.space.variant)), np.float32)
 
-    @property
-    def reward(self) -> NDArray[np.float64]:
-        """[S, A, 1] the costs, negative; as in :class:`~xplain.domains.mdp.MDP`."""
-        return -self._make_table(self._edge_cost, np.float64)
-
     def _make_table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
         """Converts values of edges to a table [S, A, 1]; 0 where this belief has no edge.
 
@@ -231,7 +223,7 @@ class GoalTask(TaskModel):
                 whether they tie.
         """
         start = self.start if self.imagined is None else int(self.imagined[self.start])
-        if start < 0 or not np.isfinite(self.to_go[start]):
+        if not np.isfinite(self.to_go[start]):
             raise DomainError(
                 f"domain: unsolvable: {who} has no plan that reaches the goal for less than "
                 f"domain.dead_end_cost={self.dead_end_cost:g}"

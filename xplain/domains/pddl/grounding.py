@@ -9,11 +9,11 @@ a ground action exists in the belief if the action's conditions on these atoms h
 
 import logging
 from array import array
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import cache
-from itertools import chain, product
+from itertools import chain, combinations, product
 from time import monotonic
 from typing import Any
 
@@ -63,52 +63,44 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
         TooLargeError: more than MOST_FACTS facts affect one action's preconditions and effects.
     """
     flags = [lifted.Atom(f"fact@{j}", []) for j in range(len(facts))]
-    robots = dict(task.items)
-    for i, (variables, parts) in enumerate(conditions):
-        name, effect = f"holds@{i}", lifted.Effect([], lifted.Truth(), flags[0])
-        robots |= {Item("action", name): variables, Item("effect", name): effect}
-        robots |= {Item("precondition", name, str(k)): part for k, part in enumerate(parts)}
-    every = dict(robots)
-    for item, value in chain(*(fact.items() for fact in facts)):
-        if value is not None:
-            every.setdefault(item, value)
 
-    def guard(item: Item) -> Any:
-        """Returns a condition on the atoms fact@j: it holds for exactly the people whose task has
-        the item."""
-        own = [(flag, fact[item]) for flag, fact in zip(flags, facts, strict=True) if item in fact]
-        if item in robots:
-            return lifted.Conjunction([flag.negate() for flag, value in own if value is None])
-        return lifted.Disjunction([flag for flag, _ in own])
+    def make_action(name: str, signature: Signature, *parts: Any, cost: Any = None) -> Any:
+        """Makes an action whose preconditions and effects are copies of ``parts``, because
+        normalising changes them."""
+        typed = [lifted.TypedObject(*variable) for variable in signature]
+        effects = [copy(x) for x in parts if isinstance(x, lifted.Effect)]
+        asked = lifted.Conjunction([x for x in parts if not isinstance(x, lifted.Effect)])
+        return lifted.Action(name, typed, len(typed), asked.simplified(), effects, cost)
 
     def function(text: str) -> Any:
         name, *arguments = text.strip("()").split()
         return lifted.PrimitiveNumericExpression(name, arguments)
 
-    actions = []
-    for name, signature in ((x.owner, every[x]) for x in every if x.kind == "action"):
-        about = [x for x in facts if any(y.owner == name and y.kind != "cost" for y in x)]
+    actions = [
+        make_action(f"holds@{i}", own, *parts, lifted.Effect([], lifted.Truth(), flags[0]))
+        for i, (own, parts) in enumerate(conditions)
+    ]
+    every = {x: y for own in (task.items, *facts) for x, y in own.items() if y is not None}
+    for name in dict.fromkeys(x.owner for x in every if x.kind == "action"):
+        parts = [[x for x in fact if x.owner == name and x.kind != "cost"] for fact in facts]
+        about = [j for j, own in enumerate(parts) if own]
         if len(about) > MOST_FACTS:
             raise TooLargeError(
                 f"domain: {len(about)} facts affect the action {name}; at most {MOST_FACTS} can be "
                 "combined: join some of them into one fact"
             )
-        asked, effects = [guard(Item("action", name))], []
-        for item, value in ((x, every[x]) for x in every if x.owner == name):
-            # If the robot lacks an action, the guard of the action holds for all of its parts.
-            there = guard(item) if Item("action", name) in robots else lifted.Truth()
-            if item.kind == "precondition":
-                asked.append(lifted.Disjunction([there.negate(), value]))
-            elif item.kind == "effect":
-                when = lifted.Conjunction([there, value.condition]).simplified()
-                effects.append(lifted.Effect(value.parameters, when, value.literal))
-        cost = Item("cost", name)
-        same = isinstance(every.get(cost), str) and not any(cost in fact for fact in facts)
-        value = lifted.Increase(None, function(every[cost])) if same else None
-        typed = [lifted.TypedObject(*variable) for variable in signature]
-        condition = lifted.Conjunction(asked).simplified()
-        actions.append(lifted.Action(name, typed, len(typed), condition, effects, value))
-    found, initial = copy(task.found), [every[x] for x in every if x.kind == "initial"]
+        price = Item("cost", name)
+        text = None if any(price in fact for fact in facts) else every.get(price)
+        cost = lifted.Increase(None, function(text)) if isinstance(text, str) else None
+        for wrong in map(set, chain(*(combinations(about, k) for k in range(len(about) + 1)))):
+            items = apply_changes(task.items, *(facts[j] for j in sorted(wrong)))
+            if Item("action", name) in items:
+                guard = [flags[j] if j in wrong else flags[j].negate() for j in about]
+                kinds = "precondition", "effect"
+                own = [y for x, y in items.items() if x.owner == name and x.kind in kinds]
+                signature = items[Item("action", name)]
+                actions.append(make_action(name, signature, *guard, *own, cost=cost))
+    found, initial = copy(task.found), [y for x, y in every.items() if x.kind == "initial"]
     equal = [x for x in found.init if getattr(x, "predicate", "") == "="]
     values = [lifted.Assign(function(x.text), None) for x in every if x.kind == "function"]
     found.init, found.goal = [*initial, *flags, *equal, *values], lifted.Truth()
@@ -345,11 +337,9 @@ class BelievedTask:
         kept, action = np.unique([ground.variants[v][0] for v in self._used], return_inverse=True)
         self.actions = [ground.actions[a] for a in kept]
         self._space = StateSpace(len(self.states), len(kept), action, source, variant, successor)
-        width = len(ground.atoms) // 8 + 1
-        rows = b"".join(state.to_bytes(width, "little") for state in self.states)
-        packed = np.frombuffer(rows, np.uint8).reshape(-1, width)
-        bits = np.unpackbits(packed, axis=1, bitorder="little", count=len(ground.atoms))
-        self.table = bits.astype(np.bool_)
+        size = len(ground.atoms)
+        packed = _pack(self.states, size).view(np.uint8)
+        self.table = np.unpackbits(packed, axis=1, bitorder="little", count=size).astype(np.bool_)
 
     def _explore(
         self,
@@ -376,22 +366,19 @@ class BelievedTask:
             TooLargeError: more than ``max_states`` states.
         """
         variants = {v: self._ground.variants[v] for v in allowed.tolist()}
-        often = Counter(bit for _, asked, _ in variants.values() for bit in split(asked))
-        watched: dict[int, list[int]] = defaultdict(list)  # by the rarest needed literal
-        for v, (_, asked, _) in variants.items():
-            rarest = min(split(asked), key=often.__getitem__, default=None)
-            watched[0 if rarest is None else 1 << rarest].append(v)
+        beliefs, width = self._ground.beliefs, self._ground.beliefs.bit_length()
+        needed = _pack([asked for _, asked, _ in variants.values()], width)
         number = {state: s for s, state in enumerate(seeds)}
         states, reported = [*seeds], monotonic()
         sources, used, successors = array("i"), array("i"), array("i")
         for done, state in enumerate(states):
-            held = self._ground.complete(state) & ~self._ground.beliefs | believed
-            if not all(any(not x & ~held for x in one) for one in goal):
-                able = [v for bit, own in watched.items() if held & bit == bit for v in own]
-                for v in sorted(v for v in able if not variants[v][1] & ~held):
+            lacking = self._ground.complete(~state) & ~beliefs | beliefs & ~believed
+            if not all(any(not x & lacking for x in one) for one in goal):
+                able = ~(needed & _pack([lacking], width)).any(axis=1)
+                for v in allowed[able].tolist():
                     adds = deletes = 0  # effects are simultaneous; an added atom is not deleted
                     for condition, added, deleted in variants[v][2]:
-                        if not condition & ~held:
+                        if not condition & lacking:
                             adds |= added
                             deletes |= deleted
                     after = state & ~deletes | adds
@@ -470,6 +457,13 @@ class BelievedTask:
             start=0,
             imagined=self._imagined(wrong & self._elsewhere),
         )
+
+
+def _pack(sets: Sequence[int], size: int) -> NDArray[np.uint64]:
+    """Returns [sets, words] the bits of sets of ``size`` literals, 64 in a word."""
+    width = size // 64 * 8 + 8
+    rows = b"".join(one.to_bytes(width, "little") for one in sets)
+    return np.frombuffer(rows, "<u8").reshape(-1, width // 8)
 
 
 def split(literals: int) -> list[int]:
