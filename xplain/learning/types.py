@@ -146,6 +146,5 @@ def shares_of(drawn: ArrayLike) -> dict[int, float]:
 def by_first_appearance(assignment: NDArray[np.int64]) -> NDArray[np.int64]:
     """Renumbers the groups 0, 1, … in the order in which they first appear."""
     _, first, number = np.unique(assignment, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
+    rank = np.argsort(np.argsort(first))
     return np.asarray(rank[number.ravel()], dtype=np.int64)

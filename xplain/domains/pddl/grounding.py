@@ -337,9 +337,10 @@ class BelievedTask:
         kept, action = np.unique([ground.variants[v][0] for v in self._used], return_inverse=True)
         self.actions = [ground.actions[a] for a in kept]
         self._space = StateSpace(len(self.states), len(kept), action, source, variant, successor)
-        size = len(ground.atoms)
-        packed = _pack(self.states, size).view(np.uint8)
-        self.table = np.unpackbits(packed, axis=1, bitorder="little", count=size).astype(np.bool_)
+        lacking = [ground.complete(~state) for state in self.states]
+        self._lacking = _pack(lacking, ground.beliefs.bit_length())
+        bits = self._lacking.view(np.uint8)
+        self.table = np.unpackbits(bits, 1, len(ground.atoms), "little") == 0
 
     def _explore(
         self,
@@ -409,14 +410,11 @@ class BelievedTask:
             condition: name of the condition.
             wrong: the facts that a person believes incorrectly; the instances hold for this person.
         """
-        result = np.zeros(len(self.states), dtype=np.int64)
-        known, atoms = self._ground.believe(wrong), self._ground.complete(0).bit_length() // 2
-        for asked in self._ground.instances[condition]:
-            if not asked & self._ground.beliefs & ~known:
-                literals = split(asked & ~self._ground.beliefs)
-                holds = [self.table[:, i % atoms] == (i < atoms) for i in literals]
-                result += np.all([np.ones(len(self.states), dtype=bool), *holds], axis=0)
-        return result
+        beliefs, known = self._ground.beliefs, self._ground.believe(wrong)
+        own = [x for x in self._ground.instances[condition] if not x & beliefs & ~known]
+        needed = _pack([x & ~beliefs for x in own], beliefs.bit_length())
+        holds = (~(one & self._lacking).any(axis=1) for one in needed)
+        return np.asarray(sum(holds, np.zeros(len(self.states), dtype=np.int64)))
 
     def _compute_costs(self, wrong: Wrong) -> NDArray[np.float64]:
         """Computes [V] the cost of each variant for a person who believes the facts in ``wrong``

@@ -257,7 +257,7 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
         kind.supertype_names = []
         found.types.append(kind)
     items: dict[Item, Any] = {}
-    conditions = [(own, "", found.goal)]
+    _refuse_universal(found.goal, own)
     typed = [(domain, y) for x in found.predicates for y in x.arguments]
     for action in found.actions:
         name, cost = action.name, action.cost and action.cost.expression
@@ -270,11 +270,9 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
             Item("precondition", name, write(x)): x for x in split_conjunction(action.precondition)
         }
         items |= {Item("effect", name, write(x)): x for x in action.effects}
-        conditions += [(domain, name, x.condition) for x in action.effects]
-        conditions.append((domain, name, action.precondition))
+        for condition in (action.precondition, *(x.condition for x in action.effects)):
+            _refuse_universal(condition, domain, name)
         typed += [(domain, x) for x in action.parameters]
-    for source, name, condition in conditions:
-        _refuse_universal(condition, source, name)
     for source, x in [*typed, *((own, x) for x in found.objects)]:
         if isinstance(x.type_name, str) and x.type_name not in {y.name for y in found.types}:
             at = source.find(f"- {x.type_name}")

@@ -373,11 +373,9 @@ class Hypotheses:
     def pairs(self) -> list[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
         r"""For each fact j, the triple (j, rows of the candidates R that contain j, rows of the
         candidates R \ j). Both arrays of rows have the order of R."""
-        found = []
-        for j in range(self.n_messages):
-            more = np.flatnonzero(self.facts >> j & 1)
-            found.append((j, more, self.row(self.facts[more] & ~(1 << j))))
-        return found
+        having = [np.flatnonzero(self.facts >> j & 1) for j in range(self.n_messages)]
+        less = [self.row(self.facts[more] & ~(1 << j)) for j, more in enumerate(having)]
+        return [*zip(range(self.n_messages), having, less, strict=True)]
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:

@@ -138,18 +138,6 @@ class Setting:
         names = self.message_names
         return np.array([[name in one.inaccurate for name in names] for one in self.types], float)
 
-    def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Returns [P] the index in :attr:`models` of a type's model after each of P message sets.
-
-        Args:
-            user_type: number of the type.
-            message_sets: [P] bitmasks.
-        """
-        local = np.zeros_like(message_sets)
-        for i, j in enumerate(self.bits[user_type]):
-            local |= (message_sets >> j & 1) << i
-        return self.table[user_type][local]
-
     def label_by_model(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Computes [B, T] the labels of transitions [T, 3] under each of the B distinct models."""
         return np.array([model.labels(transitions) for model in self.models])
@@ -164,8 +152,11 @@ class Setting:
             transitions: [P, 3].
             message_sets: [P] bitmasks.
         """
-        by_model = self.label_by_model(transitions)
-        return by_model[self.model_index(user_type, message_sets), np.arange(len(transitions))]
+        local = np.zeros_like(message_sets)  # the bitmasks over the type's own messages
+        for i, j in enumerate(self.bits[user_type]):
+            local |= (message_sets >> j & 1) << i
+        model = self.table[user_type][local]
+        return self.label_by_model(transitions)[model, np.arange(len(transitions))]
 
     def label_table(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Computes [N, T, 2^n] the true labels of all types for all message sets.

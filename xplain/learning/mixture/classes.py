@@ -44,16 +44,13 @@ def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: in
         posterior over the number of classes.
     """
     shape = len(dataset.observers), len(dataset.features)
-    ones, total = np.zeros(shape), np.zeros(shape)
-    np.add.at(ones, (dataset.observer, dataset.transition), dataset.label)
-    np.add.at(total, (dataset.observer, dataset.transition), 1)
+    zeros, ones = counts = np.zeros((2, *shape))
+    np.add.at(counts, (dataset.label, dataset.observer, dataset.transition), 1)
     expected, drawn = np.zeros(shape), []
     best, chosen = -np.inf, np.zeros(shape[0], dtype=np.int64)
     for chain in range(chains):
         rng = stream(seed, "answer classes", chain)
-        for score, classes, one in islice(
-            _sweep(ones, total - ones, concentration, rng), WARM_UP, SWEEPS
-        ):
+        for score, classes, one in islice(_sweep(ones, zeros, concentration, rng), WARM_UP, SWEEPS):
             expected += one
             drawn.append(int(classes.max()) + 1)
             best, chosen = max((score, classes), (best, chosen), key=lambda own: own[0])

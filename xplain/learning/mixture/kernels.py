@@ -104,12 +104,8 @@ def resample_subsets(answers, prior, state, held, temperature, rng):  # type: ig
     then log P(all labels, the drawn S and ε | everybody's R).
     """
     levels, size, n = len(state.log_noise), len(prior.size), answers.n_messages
-    block, candidates, weights = (1 << n) - 1, np.empty(size, np.int64), np.empty(size * levels)
-    number = np.empty(1 << min(n, WIDE), np.int64)  # number of each M, by its facts in the block
-    for z in range(size):
-        candidates[z] = z
-    for i in range(len(number)):
-        number[i] = -1
+    block, candidates, weights = (1 << n) - 1, np.arange(size), np.empty(size * levels)
+    number = np.full(1 << min(n, WIDE), -1)  # number of each M, by its facts in the block
     wrong, times = np.empty(len(number), np.int64), np.empty((len(number), 2), np.int64)
     cell, cells = np.empty(len(number), np.int64), np.empty((state.counts.shape[1], 4), np.int64)
     score = 0.0
@@ -234,9 +230,7 @@ def _set_subset(t, z, e, held, answers, subsets, state):  # type: ignore[no-unty
     counts, messages_given = state.counts, state.messages_given
     state.subset[t] = z
     state.noise[t] = e
-    for c in range(counts.shape[1]):
-        counts[t, c, 0] = 0
-        counts[t, c, 1] = 0
+    counts[t] = 0
     for i in range(answers.transition_start[t], answers.transition_start[t + 1]):
         p = rows[i]
         counts[t, pack(subsets, z, held[p]), label[p]] += 1

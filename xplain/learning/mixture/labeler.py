@@ -358,13 +358,11 @@ class KnownAnswers:
         """Measures how well the hypotheses predict the answers, given the observers' types [O]."""
         data = self.dataset
 
-        def by_hypotheses(train: Dataset, test: Dataset) -> NDArray[np.float64]:
-            return self._fit_labeler(train).log_answered(test)
-
-        def by_labels(train: Dataset, test: Dataset) -> NDArray[np.float64]:
-            return log_likelihood(cheap().fit(train, 0), test)
-
-        rows, own, alone = predict_in_order(data, assignment, (by_hypotheses, by_labels))
+        ways = (
+            lambda train, test: self._fit_labeler(train).log_answered(test),
+            lambda train, test: log_likelihood(cheap().fit(train, 0), test),
+        )
+        rows, own, alone = predict_in_order(data, assignment, ways)
         members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
         types = [self._fit_labeler(data.of(people)) for people in members]
         doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
