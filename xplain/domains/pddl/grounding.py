@@ -2,9 +2,10 @@
 task of a person who believes some of the facts incorrectly.
 
 All beliefs are merged into one task, which Fast Downward's translator grounds once. In this task
-the atom (fact@3) means that a person believes fact 3 incorrectly, and all changes of this fact
-depend on the atom. No action changes such atoms. A belief determines which of these atoms hold, and
-a ground action exists in the belief if the action's conditions on these atoms hold.
+the atom (fact@3) means that a person believes fact 3 incorrectly; no action changes such atoms. For
+each combination of the facts about an action, the merged task has a version of the action, whose
+precondition requires this combination. A belief determines which of the atoms hold, and a ground
+action exists in the belief if the action's conditions on these atoms hold.
 """
 
 import logging
@@ -13,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import cache
-from itertools import chain, combinations, product
+from itertools import chain, product
 from time import monotonic
 from typing import Any
 
@@ -92,10 +93,10 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
         price = Item("cost", name)
         text = None if any(price in fact for fact in facts) else every.get(price)
         cost = lifted.Increase(None, function(text)) if isinstance(text, str) else None
-        for wrong in map(set, chain(*(combinations(about, k) for k in range(len(about) + 1)))):
-            items = apply_changes(task.items, *(facts[j] for j in sorted(wrong)))
+        for guard in product(*((flags[j].negate(), flags[j]) for j in about)):
+            wrong = (facts[j] for j, flag in zip(about, guard, strict=True) if not flag.negated)
+            items = apply_changes(task.items, *wrong)
             if Item("action", name) in items:
-                guard = [flags[j] if j in wrong else flags[j].negate() for j in about]
                 kinds = "precondition", "effect"
                 own = [y for x, y in items.items() if x.owner == name and x.kind in kinds]
                 signature = items[Item("action", name)]
