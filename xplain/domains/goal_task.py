@@ -199,6 +199,11 @@ class GoalTask(TaskModel):
         """[S, A, 1] of 0 and 1, as in :class:`~xplain.domains.mdp.MDP`."""
         return self._make_table(np.ones(len(self.space.variant)), np.float32)
 
+    @property
+    def reward(self) -> NDArray[np.float64]:
+        """[S, A, 1] the costs, negative; as in :class:`~xplain.domains.mdp.MDP`."""
+        return -self._make_table(self._edge_cost, np.float64)
+
     def _make_table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
         """Converts values of edges to a table [S, A, 1]; 0 where this belief has no edge.
 
