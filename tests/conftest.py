@@ -25,21 +25,25 @@ Run = Callable[..., tuple[int, str, str]]
 
 LONGEST = (
     "fixed/test_fixed.py",
-    "experiment/test_certificates.py",
-    "people/test_dry_runs.py",
+    "solvers/test_optimum.py",
     "runs/test_sweep.py",
     "runs/test_interrupted.py",
-    "runs/test_kill.py",
-    "test_docs.py",
+    "runs/test_saved.py",
     "runs/test_api.py",
-    "cli/test_plan.py",
+    "people/test_dry_runs.py",
+    "test_docs.py",
+    "conformance/test_shipped.py",
+    "runs/test_kill.py",
+    "service/test_service.py",
+    "report/test_report.py",
     "people/collect/test_protocol.py",
     "people/test_browser.py",
     "report/test_browser.py",
     "people/test_lab_browser.py",
     "people/test_collect_browser.py",
 )
-"""Files that take long. The first two compile kernels that many others need."""
+"""Files that take long. The first two compile different kernels that many others need, and the next
+need none: no kernel is compiled in two processes at once."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -15,7 +15,7 @@ from tests.runs import sweeps
 
 
 class Finished(NamedTuple):
-    """A sweep of six jobs, on all cores, without any failure."""
+    """A sweep of four jobs, on all cores, without any failure."""
 
     folder: Path
     output: str

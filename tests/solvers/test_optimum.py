@@ -90,13 +90,14 @@ def missing(rng: np.random.Generator) -> Problem:
 
 
 KINDS: dict[str, tuple[Callable[[np.random.Generator], Problem], int]] = {
+    "messages may be missed": (missing, 12),
+    "messages may be missed, questions": (lambda rng: needy(rng, questions=True), 2),
     "messages land": (random_problem, 40),
     "questions": (asking, 24),
     "questions after noisy labels": (asking_later, 4),
-    "messages may be missed": (missing, 12),
-    "messages may be missed, questions": (lambda rng: needy(rng, questions=True), 2),
 }
-"""How a problem is drawn, and how many are."""
+"""How a problem is drawn, and how many are. The kernels of the first kinds are compiled here, while
+tests/fixed compiles those of the others in another process."""
 CASES = [
     *KINDS.values(),
     *(pytest.param(one, 8 * draws, marks=pytest.mark.slow) for one, draws in KINDS.values()),
