@@ -39,9 +39,10 @@ test-docs: $(READY)
 test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m "slow and not browser"
 
-# These files alone: each process would read all the others first.
+# These files alone: each process would read all the others first. They are spread by test: one file
+# has the longest.
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) \* 2) $$(grep -rl --include='*.py' 'mark\.browser' tests)
+	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) \* 2) --dist loadgroup $$(grep -rl --include='*.py' 'mark\.browser' tests)
 
 # PYTHON is a version here, that uv finds.
 versions: oldest newest

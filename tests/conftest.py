@@ -37,8 +37,8 @@ LONGEST = (
     "service/test_service.py",
     "report/test_report.py",
     "people/collect/test_protocol.py",
-    "people/test_browser.py",
     "report/test_browser.py",
+    "people/test_browser.py",
     "people/test_lab_browser.py",
     "people/test_collect_browser.py",
 )

@@ -17,25 +17,17 @@ from pathlib import Path
 import pytest
 
 from tests import processes
-from tests.chromium import browser, missing
+from tests.chromium import resize
 from tests.runs import sweeps
 
-pytestmark = pytest.mark.browser
+# One process has the sweep and the server.
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("report")]
 
 SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", sweeps.ROOT / "outputs/screenshots"))
 
 
 @pytest.fixture(scope="module")
-def driver():
-    if what := missing():
-        pytest.skip(f"no browser to drive: install {what}")
-    with browser() as opened:
-        opened.set_window_size(1400, 1000)
-        yield opened
-
-
-@pytest.fixture(scope="module")
-def sweep(tmp_path_factory, driver):
+def sweep(tmp_path_factory, chromium):
     """Runs a sweep; returns its folder and output."""
     folder = tmp_path_factory.mktemp("sweep")
     arguments = ["users.count=2,3" if word == "users.count=2" else word for word in sweeps.TINY]
@@ -147,6 +139,7 @@ def assert_the_answer_is_seen(driver, folder):
 
 
 def test_the_printed_link_shows_the_answer_without_a_click(driver, sweep, server):
+    resize(driver, 1400, 1000)
     driver.get(link(sweep[1], server, "MLflow"))
     assert_the_answer_is_seen(driver, sweep[0])
     screenshot(driver, "mlflow-sweep.png")
@@ -173,22 +166,17 @@ def test_the_report_page_renders(driver, sweep, width, colours):
     page = sweeps.sweep_folder(sweep[0]) / "report" / "index.html"
     wanted = [{"name": "prefers-color-scheme", "value": colours}]
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": wanted})
-    screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
-    try:
-        driver.get(page.as_uri())
-        broken = "[...document.images].some(i => !i.complete || i.naturalWidth == 0)"
-        assert not driver.execute_script(f"return {broken}")
-        # Nothing sticks out of the page, and nothing was fetched from elsewhere.
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
-        fetched = "performance.getEntriesByType('resource').map(r => r.name)"
-        names = driver.execute_script(f"return {fetched}")
-        assert all(name.startswith("data:") for name in names)
-        ground = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
-        bright = sum(map(int, re.findall(r"\d+", ground)[:3])) > 380
-        assert bright == (colours == "light")
-        assert driver.execute_script("return document.images.length") >= 5
-        screenshot(driver, f"report-{width}-{colours}.png")
-    finally:
-        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    resize(driver, width, 900, mobile=False)
+    driver.get(page.as_uri())
+    broken = "[...document.images].some(i => !i.complete || i.naturalWidth == 0)"
+    assert not driver.execute_script(f"return {broken}")
+    # Nothing sticks out of the page, and nothing was fetched from elsewhere.
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+    fetched = "performance.getEntriesByType('resource').map(r => r.name)"
+    names = driver.execute_script(f"return {fetched}")
+    assert all(name.startswith("data:") for name in names)
+    ground = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
+    bright = sum(map(int, re.findall(r"\d+", ground)[:3])) > 380
+    assert bright == (colours == "light")
+    assert driver.execute_script("return document.images.length") >= 5
+    screenshot(driver, f"report-{width}-{colours}.png")
