@@ -1,5 +1,6 @@
 """Sweeps from the command line with failing jobs, dying workers, and interruptions."""
 
+import contextlib
 import os
 import re
 import signal
@@ -110,12 +111,12 @@ def test_ctrl_c_in_the_first_seconds_is_no_traceback(tmp_path, importing):
     that import."""
     process = sweeps.start(tmp_path, *sweeps.TINY)
 
-    def imports():
-        pids = [process.pid] if importing == "main" else sweeps.workers(process)
-        return any("numpy" in Path(f"/proc/{pid}/maps").read_text("utf-8") for pid in pids)
-
-    while process.poll() is None and not imports():
+    loaded = ""
+    while process.poll() is None and "numpy" not in loaded:
         time.sleep(0.02)
+        for pid in [process.pid] if importing == "main" else sweeps.workers(process):
+            with contextlib.suppress(OSError):  # it ended
+                loaded = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGINT)
     _, output = sweeps.wait(tmp_path, process)
