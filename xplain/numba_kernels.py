@@ -1,5 +1,5 @@
-"""Tools for compiled kernels, made with numba's public API: decorators, functions on bitmasks, and
-random numbers.
+"""Tools for compiled kernels: decorators, functions on bitmasks, and random numbers. Of numba they
+use the public API and the option ``_nrt``, which numba's compiler reads for each function.
 
 numba caches machine code beside the source, or below ``NUMBA_CACHE_DIR``, and uses it until the
 kernel's own file changes. A kernel may call functions in other files, so the name of the cache
