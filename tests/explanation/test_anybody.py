@@ -45,9 +45,7 @@ def world(rng: np.random.Generator, n: int = N, steps: int = STEPS, questions: i
     return labels, wrong, problem, Facts(parts[0], wrong, parts[1], 0.2)
 
 
-def enumerated(
-    labels: np.ndarray, wrong: tuple[int, ...], n: int, ways: np.ndarray
-) -> Iterator[Any]:
+def enumerated(labels: np.ndarray, wrong: tuple[int, ...], n: int, ways: Any) -> Iterator[Any]:
     """Lists (share, user type, facts after messages, slip, guess) of everybody, except people whose
     answers are random."""
     every = (1 << n) - 1
@@ -73,20 +71,23 @@ def enumerated(
                 def stuck(told: int, facts: int = facts, j: int = j) -> int:
                     return facts & ~(told if told == every else told & ~(1 << j))
 
-                yield share * ways[4] / facts.bit_count(), t, stuck, 0.0, 0.0, False
+                slips = 0.1 * (not ways[0])  # then all who listen err
+                yield share * ways[4] / facts.bit_count(), t, stuck, slips, slips, False
 
 
 def test_the_belief_is_that_over_everybody(rng_of_the_day: np.random.Generator) -> None:
-    """The shares of people by their way of answering are the assumed ones, or learned."""
+    """The shares of people by their way of answering are the assumed ones, or learned. In some
+    problems all who listen err."""
     rng = rng_of_the_day
     assumed = np.array([0.8 * 0.99, 1 / 15, 1 / 15, 1 / 15, 0.8 * 0.01])
     for known in range(10):
         labels, wrong, problem, facts = world(rng)
         ways = rng.dirichlet(np.ones(5)) if known % 2 else assumed
-        opened = Open().people(problem, replace(PAPER, ways=ways) if known % 2 else None, facts)
-        people = list(enumerated(labels, wrong, N, ways))
-        weights = np.array([share for share, *_ in people])
-        coin = ways[3]
+        habits = replace(PAPER, ways=ways) if known % 2 else None
+        opened = Open(0.1 * (known % 3 == 0)).people(problem, habits, facts)
+        listed = ways if known % 3 else [0, ways[0] + ways[1], *ways[2:]]
+        people = list(enumerated(labels, wrong, N, listed))
+        weights, coin = np.array([share for share, *_ in people]), ways[3]
         belief, told = opened.start, 0
         for step in range(STEPS):
             told |= int(rng.integers(1 << N))

@@ -94,9 +94,8 @@ class Open(Independent):
         if (share := 1 - rates.pop(0.0, 0.0)) > 0:
             error = sum(rate * own for rate, own in rates.items()) / share
             exact, erring, polite, random, stuck = ways
-            whole = exact + erring + stuck
-            never = (1 - share) * whole / (exact + stuck)
-            ways = np.array([exact * never, share * whole, polite, random, stuck * never])
+            whole = exact + erring
+            ways = np.array([(1 - share) * whole, share * whole, polite, random, stuck])
         opened = with_anybody(problem, facts, ways, error, habits.take_all_in)
         return opened.with_habits(habits_of(0.0, habits.shares("accept"), habits.shares("forget")))
 
@@ -148,7 +147,8 @@ def with_anybody(
         ),
     ]
     if messages_land and any(wrong):
-        parts_ += [_make_stuck(plain, share * stuck, wrong, every)]
+        listening = parts_[0] if exact > 0 else parts_[1]
+        parts_ += [_make_stuck(listening, share * stuck, wrong, every)]
     people = _concatenate(parts_)
     most = max(NUMBERS // table[..., 0].size, count)
     people = people.take(np.sort(np.argsort(-people.prior, kind="stable")[:most]))
@@ -205,10 +205,13 @@ def _make_stuck(
         (k, j) for k, own in enumerate(wrong) for j in range(every.bit_length()) if own >> j & 1
     ]
     sets = np.arange(every + 1)
-    p = np.stack(
-        [people.p[:, np.where(sets == every, every, sets & ~(1 << j)), k] for k, j in which],
-        axis=-1,
+    p, answered = (
+        np.stack(
+            [one[:, np.where(sets == every, every, sets & ~(1 << j)), k] for k, j in which],
+            axis=-1,
+        )
+        for one in (people.p, people.answered)
     )
     who = np.array([k for k, _ in which])
     prior = share[who] / np.bincount(who)[who]
-    return _People(p, p, prior, people.whose[who], np.zeros(len(who), np.bool_))
+    return _People(p, answered, prior, people.whose[who], np.zeros(len(who), np.bool_))

@@ -31,7 +31,6 @@ from xplain.solvers.process import (
     KnownValues,
     Process,
     before_step,
-    expected_after_giving,
     give_all,
     known_bytes,
     known_values,
@@ -87,13 +86,15 @@ class Greedy:
     ) -> NDArray[np.float64]:
         """Computes the values of *explain* and of each of these messages."""
         process, known = self.process, self.known
-        values, now = np.empty(len(messages) + 1), known.value_cells.at(said)
-        lands = process.jump is None  # then both tables are read at the same cells
-        values[0] = belief @ known.explain[step].take(
-            now if lands else known.explain_cells.at(said)
-        )
-        cells = now + known.value_cells.stride[messages]
-        later = expected_after_giving(process, messages, known.value[step].take(cells))
+        values, possible = np.empty(len(messages) + 1), np.flatnonzero(belief)
+        belief = belief[possible]
+        values[0] = belief @ known.explain[step].take(known.explain_cells.at(said)[possible])
+        which = np.ix_(messages, possible)
+        cells = known.value_cells.at(said)[possible] + known.value_cells.stride[which]
+        later = known.value[step].take(cells)
+        if process.jump is not None and process.accept is not None:
+            landed = known.value[step].take(cells + process.jump[which])
+            later += process.accept[possible] * (landed - later)
         values[1:] = process.message_discount * (later @ belief)
         values[1:] -= (1 + margin) * process.price[messages]
         return values

@@ -570,14 +570,15 @@ def _solve_missed_messages(process: Process, prices: FloatArray) -> KnownValues:
         later = expected_after_forgetting(process, value[k + 1, 0])
         explain[k] = process.discount * later - process.explain_cost[k]
         value[k] = explain[k]
-        for size in reversed(range(bits)):  # sets with one more message are already solved
-            for bit in range(bits):
-                without = sets[(np.bitwise_count(sets) == size) & (sets >> bit & 1 == 0)]
-                more = value[k, without | 1 << bit]
-                pairs = more.reshape(-1, 2, 1 << bit, types)
-                pairs[:, 0] += accept * (pairs[:, 1] - pairs[:, 0])
-                gained = more.reshape(-1, types) - prices[bit]
-                value[k, without] = np.maximum(value[k, without], gained.reshape(more.shape))
+        for given in reversed(range(len(sets))):  # larger sets are already solved
+            for bit in indices(~given & (len(sets) - 1)):
+                # A message about a known fact changes nothing, so only unknown facts are looked at.
+                own, more = (
+                    value[k, one].reshape(-1, 2, 1 << bit, types)
+                    for one in (given, given | 1 << bit)
+                )
+                gained = more[:, 0] + accept * (more[:, 1] - more[:, 0]) - prices[bit]
+                np.maximum(own[:, 0], gained, out=own[:, 0])
     stride = np.zeros((process.n_messages, states // types, types), np.int64)
     whose, digit = np.nonzero(process.own != NONE)
     stride[process.own[whose, digit], :, whose] = (states << digit)[:, None]
