@@ -86,18 +86,17 @@ class Greedy:
     ) -> NDArray[np.float64]:
         """Computes the values of *explain* and of each of these messages."""
         process, known = self.process, self.known
-        values, possible = np.empty(len(messages) + 1), np.flatnonzero(belief)
-        belief = belief[possible]
-        values[0] = belief @ known.explain[step].take(known.explain_cells.at(said)[possible])
-        which = np.ix_(messages, possible)
+        possible = np.flatnonzero(belief)
+        explained = known.explain[step].take(known.explain_cells.at(said)[possible])
+        which = np.ix_(np.array(messages, np.int64), possible)
         cells = known.value_cells.at(said)[possible] + known.value_cells.stride[which]
         later = known.value[step].take(cells)
         if process.jump is not None and process.accept is not None:
             landed = known.value[step].take(cells + process.jump[which])
             later += process.accept[possible] * (landed - later)
-        values[1:] = process.message_discount * (later @ belief)
-        values[1:] -= (1 + margin) * process.price[messages]
-        return values
+        gains = process.message_discount * (later @ belief[possible])
+        gains -= (1 + margin) * process.price[messages]
+        return np.concatenate(([belief[possible] @ explained], gains))
 
 
 def greedy_policy(problem: Problem, what: str, memory_gib: float) -> Greedy:
