@@ -85,13 +85,13 @@ BAD = [
     (["users=explicit", "users.groups={}"], ["users", "at least one"]),
     (["users=explicit", "users.groups={A: [lava]}"], ["lava", "first_aid"]),
 ]
-HEAD = "observer,messages,label,row,column"
+HEAD, STEP = "observer,messages,label,row,column", "row,column,action,next_row,next_column"
 LABELS = [
-    ("observer,label,row\na,1,0\nb,0,0\n", ["messages"]),
+    (f"observer,label,{STEP}\na,1,0,0,up,0,0\nb,0,0,0,up,0,0\n", ["messages"]),
     (f"{HEAD}\na,lava,1,0,0\nb,,0,0,0\n", ["lava"]),
     (f"{HEAD}\na,,2,0,0\nb,,0,0,0\n", ["label", "2"]),
     (f"{HEAD}\na,,1,0,0\na,fire,0,0,0\n", ["observer"]),
-    (f"{HEAD}\na,,1,0,0\nb,fire,1,0,0\n", ["label"]),
+    (f"observer,messages,label,{STEP}\na,,1,0,0,up,0,0\nb,fire,1,0,0,up,0,0\n", ["label"]),
     (f"{HEAD}\n", ["labels.csv"]),
     ("\x00\x01", ["labels.csv"]),
     (f"{HEAD}\na,,1,0,0\na,,1,0,1\nb,fire,0,0,0\nb,fire,0,0,1\n", ["action", "missing"]),
