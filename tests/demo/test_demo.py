@@ -11,10 +11,11 @@ from hydra.core.global_hydra import GlobalHydra
 from tests.refusals import line_of
 from xplain.demo.page import content, page
 from xplain.demo.play import play, set_up
+from xplain.experiment.explanations import true_thoughts
 from xplain.explanation.belief import Independent
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.episode import explain
-from xplain.interaction.explainees import SimulatedUser
+from xplain.randomness import derive_seed
 from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
@@ -28,15 +29,23 @@ def rescue():
 
 
 @pytest.mark.parametrize("user", ["A", "E"])
-def test_it_plays_the_experiments_episode(rescue, user):
-    case, prepared = rescue.case, rescue.prepared
-    problem = rescue.session()._talk.problem
-    labels = case.labels.of_types([prepared.types.index(user)])
-    policy = QMDP().plan(problem)
-    episode = explain(problem, CachedPolicy(policy), SimulatedUser(labels), Independent())
-    played = play(rescue, user)
-    said = [mask_of(step.said, prepared.messages) for step in played.steps]
-    assert said == episode.messages.tolist()
+@pytest.mark.parametrize("more", [(), ("ask=clips", "explainee=heedless")])
+def test_it_plays_the_experiments_episode(rescue, user, more):
+    """This also holds if the robot asks questions and the person misses messages."""
+    scene = set_up([*QUICK, *more], trace=1) if more else rescue
+    (truth, same), place = true_thoughts(scene.case), scene.prepared.types.index(user)
+    person = scene.explainee.meet(
+        truth.of_types([place]), same, derive_seed(scene.explainer.seed, "explainee", user)
+    )
+    problem = scene.session()._talk.problem
+    episode = explain(problem, CachedPolicy(QMDP().plan(problem)), person, Independent())
+    played = play(scene, user)
+    assert episode.messages.tolist() == [
+        mask_of(step.said, scene.prepared.messages) for step in played.steps
+    ]
+    asked = [(k, *one) for k, step in enumerate(played.steps) for one in step.asked]
+    assert [(k, one.number, answer) for k, one, answer in asked] == [*map(tuple, episode.questions)]
+    assert bool(asked) == bool(more)
     assert played.steps[-1].cost == pytest.approx(episode.cost)
     for k, step in enumerate(played.steps):
         np.testing.assert_array_equal(step.labels, episode.labels[k, : k + 1])
@@ -67,14 +76,13 @@ def test_the_page_holds_the_session_and_loads_nothing(rescue):
     html = page(rescue, played)
     data = re.search(r"^const D = (.*);$", html, re.MULTILINE)
     assert json.loads(data.group(1)) == json.loads(json.dumps(content(rescue, played)))
-    outside = re.findall(r"(?:src|href|url|import|fetch)\s*[=(]\s*[\"']?([^\"'\s)>]*)", html)
-    assert set(outside) <= {"data:,"}
+    outside = r"(?:src|href|url|import|fetch)\s*[=(]\s*[\"']?([^\"'\s)>]*)"
+    assert {*re.findall(outside, html)} <= {"data:,"}
     assert "http" not in html.replace("http://www.w3.org/2000/svg", "")
 
 
 def test_words_of_a_domain_cannot_end_the_script(rescue):
-    evil = "</script><script>alert(1)</script><!--"
-    sentences = tuple(evil for _ in rescue.prepared.sentences)
+    sentences = ("</script><script>alert(1)</script><!--",) * len(rescue.prepared.sentences)
     scene = replace(rescue, prepared=replace(rescue.prepared, sentences=sentences))
     html = page(scene, play(scene, "A"))
     assert html.count("</script>") == 1
@@ -128,8 +136,7 @@ def test_the_page_can_be_stepped_through(rescue, driver, tmp_path):
         body.send_keys(Keys.ARROW_RIGHT)
         assert driver.find_element("id", "where").text == f"step {k} of {last}"
         speech = driver.find_element("id", "speech").text
-        sentences = dict(zip(rescue.prepared.messages, rescue.prepared.sentences, strict=True))
-        for name, sentence in sentences.items():
+        for name, sentence in zip(rescue.prepared.messages, rescue.prepared.sentences, strict=True):
             assert (sentence in speech) == (name in step.said)
         squares = driver.find_elements("css selector", "#trace .now")
         assert [s.text for s in squares] == ["✓" if label else "?" for label in step.labels]
