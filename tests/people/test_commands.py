@@ -95,8 +95,15 @@ def test_every_ending_can_have_a_code_of_its_own(kind: str) -> None:
     own = {ending: f"OF{number}" for number, ending in enumerate((*ENDS, "full"))}
     given = ", ".join(f"{ending}: {code}" for ending, code in own.items())
     assert server_of(load_config(kind, [f"server.codes={{{given}}}"])).codes == own
-    alone = server_of(load_config(kind, ["server.codes={full: ABC}"])).codes
-    assert alone == dict.fromkeys(own, "") | {"full": "ABC"}
+    found = server_of(load_config(kind, ["server.codes={full: ABC}"]))
+    assert found.codes == dict.fromkeys(own, "") | {"full": "ABC"}
+
+
+@pytest.mark.parametrize("consent", ["own", "demo"])
+def test_only_a_demo_admits_people_with_a_consent_that_is_not_edited(
+    kind: str, consent: str
+) -> None:
+    assert server_of(load_config(kind, [f"consent={consent}"])).demo == (consent == "demo")
 
 
 COMMENTED = ("study.yaml", "collect/texts/en.yaml")

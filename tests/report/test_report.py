@@ -19,6 +19,7 @@ from xplain.report.compare import table
 from xplain.report.frame import Summary
 from xplain.report.page import write_report
 from xplain.report.terminal import print_summary
+from xplain.runs.job import mark_failed
 
 METHODS = ("qmdp", "qhr", "baseline")
 SETTINGS = ({"domain": "rescue"}, {"domain": "four_rooms", "users.count": "2"})
@@ -175,9 +176,7 @@ def test_a_report_is_made_again_when_what_it_shows_has_changed(tmp_path, monkeyp
     assert is_made("cost")
     (address / "results.json").unlink()
     assert is_made("cost")
-    failed = folder / "jobs" / "solver=qhr" / "failure.json"
-    failed.parent.mkdir(parents=True)
-    failed.write_text(json.dumps({"error": "no memory"}))
+    mark_failed(folder / "jobs" / "solver=qhr", MemoryError())
     assert is_made("cost")
     monkeypatch.setattr("xplain.report.page.code_version", lambda: "other sources")
     assert is_made("cost")

@@ -244,13 +244,13 @@ def test_a_damaged_sweep_hides_no_other_and_its_command_mends_it(finished, tmp_p
     damaged = tmp_path / "outputs" / "sweeps" / "other" / "sweep.json"
     damaged.parent.mkdir()
     damaged.write_text('{"jobs": [')
-    assert str(own.relative_to(tmp_path)) in sweeps.output_of(tmp_path, "report")
+    for given in ((), (str(own),)):
+        assert own.name in sweeps.output_of(tmp_path, "report", *given)
     output = sweeps.output_of(tmp_path, "sync")
     assert "left out: sweep=" in output
     assert "4 results in MLflow" in output
     output = sweeps.output_of(tmp_path, "report", str(damaged.parent), code=2)
     assert len(output.splitlines()) == 1
-    damaged.unlink()
-    damaged.parent.rmdir()
+    shutil.rmtree(damaged.parent)
     (own / "sweep.json").write_text("not JSON")
     assert "no job to run" in sweeps.output_of(tmp_path, *sweeps.TINY, sweeps.SERIAL)
