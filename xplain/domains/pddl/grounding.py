@@ -2,10 +2,9 @@
 task of a person who believes some of the facts incorrectly.
 
 All beliefs are merged into one task, which Fast Downward's translator grounds once. In this task
-the atom (fact@3) means that a person believes fact 3 incorrectly; no action changes such atoms. For
-each combination of the facts about an action, the merged task has a version of the action, whose
-precondition requires this combination. A belief determines which of the atoms hold, and a ground
-action exists in the belief if the action's conditions on these atoms hold.
+the atom (fact@3) means that a person believes fact 3 incorrectly, and all changes of this fact
+depend on the atom. No action changes such atoms. A belief determines which of these atoms hold, and
+a ground action exists in the belief if the action's conditions on these atoms hold.
 """
 
 import logging
@@ -64,44 +63,52 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
         TooLargeError: more than MOST_FACTS facts affect one action's preconditions and effects.
     """
     flags = [lifted.Atom(f"fact@{j}", []) for j in range(len(facts))]
+    robots = dict(task.items)
+    for i, (variables, parts) in enumerate(conditions):
+        name, effect = f"holds@{i}", lifted.Effect([], lifted.Truth(), flags[0])
+        robots |= {Item("action", name): variables, Item("effect", name): effect}
+        robots |= {Item("precondition", name, str(k)): part for k, part in enumerate(parts)}
+    every = dict(robots)
+    for item, value in chain(*(fact.items() for fact in facts)):
+        if value is not None:
+            every.setdefault(item, value)
 
-    def make_action(name: str, signature: Signature, *parts: Any, cost: Any = None) -> Any:
-        """Makes an action whose preconditions and effects are copies of ``parts``, because
-        normalising changes them."""
-        typed = [lifted.TypedObject(*variable) for variable in signature]
-        effects = [copy(x) for x in parts if isinstance(x, lifted.Effect)]
-        asked = lifted.Conjunction([x for x in parts if not isinstance(x, lifted.Effect)])
-        return lifted.Action(name, typed, len(typed), asked.simplified(), effects, cost)
+    def guard(item: Item) -> Any:
+        """Returns a condition on the atoms fact@j: it holds for exactly the people whose task has
+        the item."""
+        own = [(flag, fact[item]) for flag, fact in zip(flags, facts, strict=True) if item in fact]
+        if item in robots:
+            return lifted.Conjunction([flag.negate() for flag, value in own if value is None])
+        return lifted.Disjunction([flag for flag, _ in own])
 
     def function(text: str) -> Any:
         name, *arguments = text.strip("()").split()
         return lifted.PrimitiveNumericExpression(name, arguments)
 
-    actions = [
-        make_action(f"holds@{i}", own, *parts, lifted.Effect([], lifted.Truth(), flags[0]))
-        for i, (own, parts) in enumerate(conditions)
-    ]
-    every = {x: y for own in (task.items, *facts) for x, y in own.items() if y is not None}
-    for name in dict.fromkeys(x.owner for x in every if x.kind == "action"):
-        parts = [[x for x in fact if x.owner == name and x.kind != "cost"] for fact in facts]
-        about = [j for j, own in enumerate(parts) if own]
+    actions = []
+    for name, signature in ((x.owner, every[x]) for x in every if x.kind == "action"):
+        about = [x for x in facts if any(y.owner == name and y.kind != "cost" for y in x)]
         if len(about) > MOST_FACTS:
             raise TooLargeError(
                 f"domain: {len(about)} facts affect the action {name}; at most {MOST_FACTS} can be "
                 "combined: join some of them into one fact"
             )
-        price = Item("cost", name)
-        text = None if any(price in fact for fact in facts) else every.get(price)
-        cost = lifted.Increase(None, function(text)) if isinstance(text, str) else None
-        for guard in product(*((flags[j].negate(), flags[j]) for j in about)):
-            wrong = (facts[j] for j, flag in zip(about, guard, strict=True) if not flag.negated)
-            items = apply_changes(task.items, *wrong)
-            if Item("action", name) in items:
-                kinds = "precondition", "effect"
-                own = [y for x, y in items.items() if x.owner == name and x.kind in kinds]
-                signature = items[Item("action", name)]
-                actions.append(make_action(name, signature, *guard, *own, cost=cost))
-    found, initial = copy(task.found), [y for x, y in every.items() if x.kind == "initial"]
+        asked, effects = [guard(Item("action", name))], []
+        for item, value in ((x, every[x]) for x in every if x.owner == name):
+            # If the robot lacks an action, the guard of the action holds for all of its parts.
+            there = guard(item) if Item("action", name) in robots else lifted.Truth()
+            if item.kind == "precondition":
+                asked.append(lifted.Disjunction([there.negate(), value]))
+            elif item.kind == "effect":
+                when = lifted.Conjunction([there, value.condition]).simplified()
+                effects.append(lifted.Effect(value.parameters, when, value.literal))
+        cost = Item("cost", name)
+        same = isinstance(every.get(cost), str) and not any(cost in fact for fact in facts)
+        value = lifted.Increase(None, function(every[cost])) if same else None
+        typed = [lifted.TypedObject(*variable) for variable in signature]
+        condition = lifted.Conjunction(asked).simplified()
+        actions.append(lifted.Action(name, typed, len(typed), condition, effects, value))
+    found, initial = copy(task.found), [every[x] for x in every if x.kind == "initial"]
     equal = [x for x in found.init if getattr(x, "predicate", "") == "="]
     values = [lifted.Assign(function(x.text), None) for x in every if x.kind == "function"]
     found.init, found.goal = [*initial, *flags, *equal, *values], lifted.Truth()
