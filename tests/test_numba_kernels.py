@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from packaging.requirements import Requirement
 
-from xplain.numba_kernels import count_bits, first_bit, nth_bit, search
+from xplain.numba_kernels import count_bits, first_bit, next_uniform, nth_bit, search
 
 ROOT = Path(__file__).parents[1]
 
@@ -18,9 +18,14 @@ ROOT = Path(__file__).parents[1]
 def run(folder: Path, code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Runs code in a process that finds our package and the folder's modules."""
     own = {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
-    env = os.environ | own | environment
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, cwd=folder, env=env, check=True, capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env=os.environ | own | environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
 
 
 DOUBLE = """
@@ -42,17 +47,18 @@ def test_a_later_process_loads_what_was_compiled_unless_a_part_was_edited(tmp_pa
     )
     cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
     for factor, out in ((2, "8 9.0 0\n"), (2, "8 9.0 2\n"), (3, "12 13.5 0\n")):
-        part = f"@part\ndef times(x):\n    return {factor} * x\n"
-        (tmp_path / "shared.py").write_text(f"from xplain.numba_kernels import part\n{part}")
+        (tmp_path / "shared.py").write_text(
+            "from xplain.numba_kernels import part\n"
+            f"@part\ndef times(x):\n    return {factor} * x\n"
+        )
         assert run(tmp_path, "import mine", **cache).stdout == out
 
 
 def test_works_where_nothing_can_be_written(tmp_path: Path) -> None:
     """A line says so; the kernel compiles, and this is reported once."""
     (tmp_path / "file").touch()
-    nowhere = str(tmp_path / "file")
-    code = DOUBLE.replace("@kernel", "@kernel  # of no file")
-    done = run(tmp_path, code, NUMBA_CACHE_DIR=nowhere, HOME=nowhere, XDG_CACHE_HOME=nowhere)
+    places = dict.fromkeys(("NUMBA_CACHE_DIR", "HOME", "XDG_CACHE_HOME"), str(tmp_path / "file"))
+    done = run(tmp_path, DOUBLE.replace("@kernel", "@kernel  # of no file"), **places)
     assert done.stdout == "8 9.0\n"
     assert "NUMBA_CACHE_DIR" in done.stderr
     assert done.stderr.count("compiling kernels") == 1  # of two
@@ -83,6 +89,13 @@ def test_bits_of_masks() -> None:
         places = [j for j in range(63) if mask >> j & 1]
         for r in (0, len(places) - 1):
             assert _bits(mask, r) == (places[0], len(places), places[r])
+
+
+def test_random_numbers_are_those_of_the_published_generator() -> None:
+    """Vigna's splitmix64 with the seed 1234567; a number has the first 53 bits of a word."""
+    words = 6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431
+    counter = np.array([1234567], np.uint64)
+    assert [next_uniform(counter) for _ in words] == [(word >> 11) / 2**53 for word in words]
 
 
 def test_numba_is_bounded_by_the_version_that_is_tested() -> None:
