@@ -87,16 +87,12 @@ class Greedy:
         """Computes the values of *explain* and of each of these messages."""
         process, known = self.process, self.known
         possible = np.flatnonzero(belief)
+        belief = belief[possible]
         explained = known.explain[step].take(known.explain_cells.at(said)[possible])
-        which = np.ix_(np.array(messages, np.int64), possible)
-        cells = known.value_cells.at(said)[possible] + known.value_cells.stride[which]
-        later = known.value[step].take(cells)
-        if process.jump is not None and process.accept is not None:
-            landed = known.value[step].take(cells + process.jump[which])
-            later += process.accept[possible] * (landed - later)
-        gains = process.message_discount * (later @ belief[possible])
+        later = known.after_giving(process, step, said, messages, possible)
+        gains = process.message_discount * (later @ belief)
         gains -= (1 + margin) * process.price[messages]
-        return np.concatenate(([belief[possible] @ explained], gains))
+        return np.concatenate(([belief @ explained], gains))
 
 
 def greedy_policy(problem: Problem, what: str, memory_gib: float) -> Greedy:

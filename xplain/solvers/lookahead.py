@@ -22,7 +22,6 @@ from xplain.solvers.process import (
     Process,
     all_given,
     before_step,
-    expected_after_giving,
     matters,
     outcomes,
     set_prices,
@@ -141,14 +140,12 @@ class Expectimax:
             return np.inf
         weights, tail = following
         after = before_step(process, said)
-        messages, at = indices(self.messages & ~after), known.value_cells.at(after)
-        value = known.value[step + 1]
-        given = value.take(at + known.value_cells.stride[messages])
-        worth = weights @ expected_after_giving(process, messages, given).T
+        messages, states = indices(self.messages & ~after), np.arange(process.n_states)
+        worth = weights @ known.after_giving(process, step + 1, after, messages, states).T
         worth *= process.message_discount
         worth -= weights.sum(axis=1)[:, None] * process.price[messages]
         explained = weights @ known.explained(step + 1, after)
         best = np.maximum(explained, worth.max(axis=1, initial=-np.inf))
-        later = best.sum() + tail @ value.take(at)
+        later = best.sum() + tail @ known.now(step + 1, after)
         cost = belief @ process.explain_cost[step].take(process.cells.at(said))
         return float(process.discount * later - cost)

@@ -435,17 +435,6 @@ def outcomes(
     return forget(process, joint), forget(process, tail)
 
 
-def expected_after_giving(process: Process, messages: list[int], values: FloatArray) -> FloatArray:
-    """Computes [J, S] E[v_j(s') | s] from values v [J, S] with a row for each of J messages. In row
-    j, s' is the state after message j was given once."""
-    if process.jump is None or process.accept is None:
-        return values
-    landed = np.take_along_axis(
-        values, process.jump[messages] + np.arange(process.n_states), axis=1
-    )
-    return values + process.accept * (landed - values)
-
-
 def all_given(process: Process, belief: FloatArray, messages: list[int]) -> FloatArray:
     """Computes [2^J, S] the belief after each subset of J messages was given; the subsets are in
     the order of ``message_sets.subsets``."""
@@ -508,6 +497,25 @@ class KnownValues(NamedTuple):
     def explained(self, step: int, said: int) -> FloatArray:
         """Returns [S] Q(k, v, s, explain)."""
         return self.explain[step, self.explain_cells.at(said)]
+
+    def after_giving(
+        self, process: Process, step: int, said: int, messages: list[int], states: IntArray
+    ) -> FloatArray:
+        """Computes [J, S'] the expected V at S' states s after one of J messages was given once.
+
+        Args:
+            process: the model.
+            step, said: k, and the messages v before the new message.
+            messages: the J messages.
+            states: [S'] indices of the states s.
+        """
+        which = np.ix_(np.array(messages, np.int64), states)
+        cells = self.value_cells.at(said)[states] + self.value_cells.stride[which]
+        missed = self.value[step].take(cells)
+        if process.jump is None or process.accept is None:
+            return missed
+        landed = self.value[step].take(cells + process.jump[which])
+        return missed + process.accept[states] * (landed - missed)
 
 
 def known_values(process: Process, without_effect: bool = False) -> KnownValues:
