@@ -113,7 +113,8 @@ class Eligibility(Stage["Study", StudyState]):
             return flow.after(state, attempts=attempts)
         if attempts >= flow.plan.rules.max_attempts:
             return state.to(stage="ineligible", attempts=attempts)
-        return state.to(stage="briefing", attempts=attempts, wrong=True)
+        # The practice ended at its second part; the briefing starts at its first screen.
+        return state.to(stage="briefing", part=0, attempts=attempts, wrong=True)
 
 
 class Quiz(Stage["Study", StudyState]):

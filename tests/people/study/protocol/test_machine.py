@@ -197,7 +197,12 @@ def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) 
 
 def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Study) -> None:
     wrong = [1 - q.answer for q in study.plan.roles[0].eligibility]
-    state = StudyState(stage="eligibility", user_type=0, condition="conformant")
+    state = replace(
+        study.after(StudyState(stage="practice", part=1)),  # the practice's second half
+        stage="eligibility",
+        user_type=0,
+        condition="conformant",
+    )
     state = study.advance(state, "eligibility", {"answers": wrong})
     assert (state.stage, state.attempts, state.wrong) == ("briefing", 1, True)
     assert study.view(state)["attempts_left"] == 1
