@@ -86,14 +86,6 @@ def test_steps_do_not_count_messages() -> None:
     assert opened == {"actions": {0}, "steps": {0, 1, 2, 3}}
 
 
-def test_of_a_certain_type_without_messages_the_value_is_the_cost() -> None:
-    """There is nothing to decide: the value is the exact expectation, for any draws."""
-    problem = soft_problem(10, n=0, steps=3, prior=np.array([0.0, 1.0, 0.0]))
-    value = first_values(POMCP(simulations=400, depth=None), problem)
-    zeros = np.cumsum(1 - problem.p_explicable[1, :, 0])
-    assert value[EXPLAIN] == pytest.approx(-sum(0.9**k * z for k, z in enumerate(zeros)))
-
-
 def test_labels_are_drawn_with_their_probabilities() -> None:
     """The shares of answers equal their probabilities within 5 standard errors, and the beliefs
     after them are the posteriors. Four labels are informative; two give no information."""
@@ -201,8 +193,19 @@ def test_each_action_is_tried_where_there_are_fewer_simulations(accept: float) -
     problem = asking_problem(accept)
     for seed in range(20):
         values = POMCP(simulations=1).plan(problem, seed).values(VisibleState(), problem.start)
-        messages = {GiveMessages(1 << j) for j in range(3)}
-        assert values.keys() == {EXPLAIN, *messages, AskQuestion(0), AskQuestion(1)}
+        assert values.keys() == {
+            *(EXPLAIN, GiveMessages(1), GiveMessages(2), GiveMessages(4)),
+            *(AskQuestion(0), AskQuestion(1)),
+        }
+
+
+@pytest.mark.parametrize("n", [61, 62])
+def test_with_the_most_messages_a_search_has_no_bit_for_questions(n: int) -> None:
+    """It decides on messages, and has memory for the question that led to each node."""
+    table = LabelTable.by_type([[n - 1]] * 2, [[[0.1, 0.9]] * 2, [[0.2, 0.8]] * 2])
+    policy: Any = POMCP(100).plan(Problem(table, np.full(n, 0.1), questions=Questions(table)))
+    assert messages_given(policy, 0, 0, np.array([0.4, 0.6])) == 1 << n - 1
+    assert len(policy.search(VisibleState(), 0, np.array([0.4, 0.6])).tried) == 101
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])

@@ -283,7 +283,7 @@ def _find_wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
 def _count_slots(process: Process) -> int:
     """Returns the maximum number of questions that a search tries at a node. It is limited because
     a 64-bit integer has a bit for each message, for *explain* and for each of these questions."""
-    return min(QUESTIONS, len(process.questions.answered), 61 - process.n_messages)
+    return min(QUESTIONS, len(process.questions.answered), max(61 - process.n_messages, 0))
 
 
 def make_memory(process: Process, simulations: int, seed: int) -> Memory:
@@ -299,7 +299,7 @@ def make_memory(process: Process, simulations: int, seed: int) -> Memory:
         np.empty((size + 1) * actions, EDGE),
         np.empty((size, states)),
         np.zeros(entries, ENTRY),
-        np.empty((size if slots else 1, slots + 2), np.int32),
+        np.empty((size if questions else 1, slots + 2), np.int32),
         np.empty((n + 1) * steps + 1 + questions, MOVE),
         np.array([1, actions, FIRST_TABLE - 1]),
     )
