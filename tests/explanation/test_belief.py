@@ -259,12 +259,15 @@ def test_questions_that_do_not_say_what_they_show_show_nothing_of_the_trace(seed
 
 
 def test_what_was_answered_as_a_label_is_not_asked_again() -> None:
-    problem = clip_of_the_second_transition()
+    """If it is asked nevertheless, the answer is no news."""
+    problem, answer = clip_of_the_second_transition(), QuestionAnswered(0)
     for way, again in ((Persistent(), EXPLAIN), (Independent(), AskQuestion(0))):
         talk = Dialogue(problem, AsksAll(problem), way)
         talk.hear(StepLabelled((1,)))
         assert talk.decide() == AskQuestion(0)  # the second transition was not shown yet
         talk.hear(StepLabelled((1, 0)))
         assert talk.decide() == again
+        more = Dialogue(problem, talk.policy, way, [*talk.events, AskQuestion(0), answer])
+        assert np.array_equal(more.state.belief, talk.state.belief) == (again == EXPLAIN)
         talk.hear(give(1))
         assert talk.decide() == AskQuestion(0)  # after a message it is another question

@@ -78,12 +78,11 @@ def advance(
             return state._replace(pending=event)
         case QuestionAnswered(answer):
             assert isinstance(pending, AskQuestion)
-            question = pending.question
-            return DialogueState(
-                visible._replace(asked=visible.asked | 1 << question),
-                update_by_answer(problem, belief, visible.given, question, answer),
-                known | problem.questions.shows[question],
-            )
+            question, shows = pending.question, problem.questions.shows[pending.question]
+            if belief_update.fresh_labels or not (shows & known).any():  # no repeated label
+                belief = update_by_answer(problem, belief, visible.given, question, answer)
+            visible = visible._replace(asked=visible.asked | 1 << question)
+            return DialogueState(visible, belief, known | shows)
         case StepLabelled(labels):
             heard, steps = np.array(labels, np.uint8), np.arange(len(known))
             evidence: Evidence = slice(None)

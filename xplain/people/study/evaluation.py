@@ -150,6 +150,7 @@ class ExplanationFlow(Flow[StudyPlan, StudyState]):
             one.question
             for one in state.asked
             if one.told == len(state.heard) and (one.step == state.step or not forgets)
+            if one.answer is not None
         ]
         asked = bitmask(one.question for one in state.asked)
         repeats = state.previous is not None and not state.new and not forgets
