@@ -14,6 +14,7 @@ from hypothesis import example, given, settings
 from tests.explanation.problems import misleading_problem, tiny_problems
 from xplain import InputError, Problem
 from xplain.explanation.files import pomdp_lines
+from xplain.explanation.habits import habits_of
 from xplain.testing.literal_pomdp import (
     EXPLAIN,
     LiteralPOMDP,
@@ -104,6 +105,9 @@ def expectimax(flat: Flat, belief: dict[int, float], horizon: int) -> float:
 @given(tiny_problems(max_types=2, max_steps=2))
 @example(misleading_problem())
 def test_the_file_has_the_optimum_of_the_problem(problem: Problem) -> None:
+    """Problems are refused if the file has no states or discounts for them."""
+    with pytest.raises(InputError, match=r"missed|discount_per"):
+        text_of(problem.with_habits(habits_of(0.0, 0.5, 0.0)))
     if problem.discount_per == "step" and problem.discount < 1:
         with pytest.raises(InputError, match="discount_per"):
             text_of(problem)

@@ -27,13 +27,13 @@ def unusual() -> Problem:
     rng = np.random.default_rng(0)
     problem = Problem(
         table=LabelTable.dense(*rng.random((2, 2, 3, 4))),
-        message_cost=np.array([0.5, 3.0]),
+        message_cost=np.array([0.5, 3.0, 1.0]),  # the last message has no effect
         inexplicability_cost=2.5,
         trade_off=0.7,
         discount=0.8,
         prior=np.array([0.3, 0.7]),
         discount_per="step",
-        message_names=("fuel", "fire"),
+        message_names=("fuel", "fire", "sun"),
         type_names=("novice", "expert"),
         copies=np.array([0, 0, 2]),
     )
@@ -50,7 +50,7 @@ def unusual() -> Problem:
 def test_every_field_comes_back_from_a_file(tmp_path: Path) -> None:
     """Also sixty messages, in a small file, and questions without texts."""
     problem, path, rng = unusual(), tmp_path / "problem.npz", np.random.default_rng(1)
-    default = Problem(problem.p_explicable, np.ones(2))
+    default = Problem(problem.p_explicable, np.ones(3))
     for field in fields(problem):
         if field.default is not MISSING or field.default_factory is not MISSING:
             assert plain(problem)[field.name] != plain(default)[field.name], field.name
@@ -93,7 +93,7 @@ def test_nobody_changes_a_problem_by_its_arrays() -> None:
     for array in (problem.p_explicable, problem.message_cost):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
-    cost, prior = np.ones(2), np.full(4, 0.25)
+    cost, prior = np.ones(3), np.full(4, 0.25)
     made = Problem(problem.p_explicable, cost, prior=prior)
     cost[0] = prior[0] = 9
     assert (made.message_cost[0], made.prior[0]) == (1, 0.25)
@@ -146,12 +146,12 @@ def test_a_file_of_anything_else_is_refused_in_a_line(
         ("p_explicable", np.full((2, 3, 4), 1.1)),
         ("p_explicable", np.full((2, 3, 4), -0.1)),
         ("p_explicable", np.full((2, 3, 4), np.nan)),
-        ("message_cost", np.array([1.0, -1.0])),
-        ("message_cost", np.ones(3)),
+        ("message_cost", np.array([1.0, -1.0, 1.0])),
+        ("message_cost", np.ones(2)),
         ("prior", np.array([0.5, 0.4])),
         ("prior", np.array([0.5, 0.5 + 1e-5])),
         ("prior", np.array([0.5, np.nan])),
-        ("message_cost", np.array([1.0, np.inf])),
+        ("message_cost", np.array([1.0, np.inf, 1.0])),
         ("inexplicability_cost", np.array([1.0, 1.0])),
         ("prior", np.array([1.5, -0.5])),
         ("prior", np.ones(1)),

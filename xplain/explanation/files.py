@@ -40,7 +40,9 @@ def save(problem: Problem, path: str | Path) -> None:
     """Writes a file that :func:`load` reads: all arrays of the problem, and ``problem``, a text in
     JSON with everything else."""
     arrays: dict[str, Any] = {}
-    kept = replace(problem, table=problem.table.compact(problem.n_messages))
+    kept = problem
+    if problem.messages_land:  # otherwise a row is a part of the hidden state
+        kept = replace(problem, table=problem.table.compact(problem.n_messages))
     arrays[WHOLE] = np.array(json.dumps(encode(kept, arrays)))
     np.savez_compressed(path, **arrays)
 
@@ -94,16 +96,17 @@ def pomdp_lines(problem: Problem) -> Iterator[str]:
     """Yields the lines of a ``.pomdp`` file.
 
     Raises:
-        InputError: the problem has questions, or its discount applies only to *explain* and not to
-            messages; the format allows neither.
+        InputError: the problem has questions, or messages that may be missed or forgotten; or its
+            discount applies only to *explain* and not to messages. The file allows none of these.
         TooLargeError: more than MAX_LINES lines.
     """
     if problem.discount_per == "step" and problem.discount < 1:
         raise InputError(
             "discount_per", "step", "the format discounts every action; needs action, or γ = 1"
         )
-    if problem.questions:
-        raise InputError("problem", "has questions", "without questions: the format allows none")
+    if problem.questions or not problem.messages_land:
+        found = "with questions" if problem.questions else "with messages that may be missed"
+        raise InputError("problem", found, "without: the file has no states for these")
     types, steps, n = problem.n_types, problem.n_steps, problem.n_messages
     sets = 1 << n
     end = types * steps * sets
