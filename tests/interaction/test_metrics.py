@@ -101,16 +101,6 @@ def test_no_recognition_where_nobody_knows_which_type_is_the_true_one():
     assert left_out == {"steps_until_sure", "final_belief"}
 
 
-@given(st.lists(st.floats(-100, 100), min_size=2, max_size=30))
-def test_with_one_value_a_cluster_it_is_the_t_interval(values):
-    estimate = clustered_mean(values, range(len(values)))
-    error = float(stats.sem(values))
-    assert estimate.mean == pytest.approx(np.mean(values), abs=1e-9)
-    half = stats.t.ppf(0.975, len(values) - 1) * error
-    assert estimate.high - estimate.mean == pytest.approx(half, abs=1e-9)
-    assert estimate.mean - estimate.low == pytest.approx(half, abs=1e-9)
-
-
 def test_intervals_cover_as_often_as_they_say():
     rng = np.random.default_rng(5)
     covered = 0

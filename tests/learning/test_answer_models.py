@@ -301,7 +301,7 @@ def test_shares_of_peoples_ways_are_the_mode_of_their_posterior() -> None:
     rng, likely = np.random.default_rng(1), np.zeros((10, 5))
     people = [(*asks(rng, 6), rng.integers(0, 2, 6)) for _ in range(10)]
     for (o, (*asked, said)), way, wrong in product(enumerate(people), range(5), range(8)):
-        for kept in [1 << j for j in range(3) if wrong >> j & 1] if way == 4 else [0]:
+        for kept in [1 << j for j in range(3) if wrong >> j & 1 and way == 4] or [0]:
             one = np.abs(1 - said - answers_one(way, wrong, kept, *asked))
             likely[o, way] += one.prod() / 8 / max(wrong.bit_count() * (way == 4), 1)
     mode = ASSUMED

@@ -117,38 +117,46 @@ def with_anybody(
         error: P(the opposite answer) of people who err in both directions.
         messages_land: True if the assumed habits are that a message always corrects its fact, and
             that the fact is never forgotten. Then people who keep one incorrect belief are added.
+            Otherwise these people listen; people without incorrect beliefs always listen.
     """
     n, count = problem.n_messages, problem.n_types
     every, sets = (1 << n) - 1, np.arange(1 << n)
     dense = [range(n)] * count
-    table = join_steps([problem.table, problem.questions.table]).select_messages(dense).p
+    found = join_steps([problem.table, problem.questions.table]).select_messages(dense)
+    table, answered = found.p, found.answered
     wrong = tuple(sum(1 << j for j in row) for row in problem.table.effective())
     share, whose = problem.prior, np.arange(count)
     if facts is not None:
-        wrong, share = facts.wrong, (1 - facts.new) * share
-        parts = [facts.everything] if facts.asked is None else [facts.everything, facts.asked]
-        everything = join_steps(parts).select_messages([range(n)]).p[..., 0]
         others = _other_sets(facts.wrong, n)
-        own = [everything[:, sets | every & ~one] for one in others]
-        table = np.concatenate([table, np.stack(own, axis=-1)], axis=-1)
+        wrong, share = facts.wrong, (1 - facts.new * bool(others)) * share
+        parts = [facts.everything] if facts.asked is None else [facts.everything, facts.asked]
+        everything = join_steps(parts).select_messages([range(n)])
+        table, answered = (
+            np.concatenate([own, *(p[:, sets | every & ~one] for one in others)], axis=-1)
+            for own, p in ((table, everything.p), (answered, everything.answered))
+        )
         sizes = np.array([one.bit_count() for one in others])
         alike = (sizes[:, None] == sizes).sum(axis=1)
-        share = np.append(share, facts.new / len(np.unique(sizes)) / alike)
+        share = np.append(share, facts.new / (len(np.unique(sizes)) * alike))
         wrong, whose = (*wrong, *others), np.append(whose, np.full(len(others), count))
     exact, erring, polite, random, stuck = ways
-    plain = _People(table, table, share * exact, whose, whose < count)
+    plain = _People(table, answered, share * exact, whose, whose < count)
     parts_ = [
         plain,
-        plain._replace(answered=table * (1 - error) + (1 - table) * error, prior=share * erring),
         plain._replace(
-            answered=table + (1 - table) * GUESS,
+            answered=answered * (1 - error) + (1 - answered) * error, prior=share * erring
+        ),
+        plain._replace(
+            answered=answered + (1 - answered) * GUESS,
             prior=share * polite,
             as_found=np.zeros_like(plain.as_found),
         ),
     ]
-    if messages_land and any(wrong):
-        listening = parts_[0] if exact > 0 else parts_[1]
-        parts_ += [_make_stuck(listening, share * stuck, wrong, every)]
+    listening = parts_[0] if exact > 0 else parts_[1]
+    kept = share * stuck * (messages_land & (np.array(wrong) > 0))
+    listening.prior[:] += share * stuck - kept
+    if kept.any():
+        parts_ += [_make_stuck(listening, kept, wrong, every)]
     people = _concatenate(parts_)
     most = max(NUMBERS // table[..., 0].size, count)
     people = people.take(np.sort(np.argsort(-people.prior, kind="stable")[:most]))

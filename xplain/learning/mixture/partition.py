@@ -157,10 +157,11 @@ def errors_of(known: KnownTransitions, answers: Dataset, types: NDArray[np.int64
 def learn_ways(known: KnownTransitions, answers: Dataset) -> NDArray[np.float64]:
     """Estimates the shares [5] of people by their way of answering, as in WAYS.
 
-    The facts of each observer are summed out. People of every way also err at the rate WRONG, so
-    that a few wrong answers do not decide the way. The next person may be unlike the observers, so
-    each way other than the first keeps at least its assumed share. With more than DENSE facts the
-    result is WAYS, because explanations do not use it.
+    The facts of each observer are summed out. People without incorrect beliefs keep none. People of
+    every way also err at the rate WRONG, so that a few wrong answers do not decide the way. The
+    next person may be unlike the observers, so each way other than the first keeps at least its
+    assumed share. With more than DENSE facts the result is WAYS, because explanations do not use
+    it.
 
     Args:
         known: the hypotheses.
@@ -185,7 +186,7 @@ def learn_ways(known: KnownTransitions, answers: Dataset) -> NDArray[np.float64]
         each = np.log(np.where(label[:, None] == 1, one, 1 - one)).sum(axis=1)
         each += np.log(prior + 1e-300)[:, None]
         whole = np.logaddexp.reduce(each[: len(facts)])
-        found.append([*whole, np.logaddexp.reduce(each[len(facts) :, 0])])
+        found.append([*whole, np.logaddexp.reduce([each[0, 0], *each[len(facts) :, 0]])])
     shares = WAYS
     for _ in range(ROUNDS):
         likely = softmax(np.array(found) + np.log(shares), axis=1)
