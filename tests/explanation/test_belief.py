@@ -204,8 +204,7 @@ def test_what_a_question_is_worth_by_hand() -> None:
 
 def test_second_opinions_come_after_every_kind() -> None:
     rng = np.random.default_rng(1)
-    kinds = np.array([[0, 1, 1], [1, 0, 1], [0, 0, 1]])
-    which = rng.integers(3, size=40)
+    kinds, which = np.array([[0, 1, 1], [1, 0, 1], [0, 0, 1]]), rng.integers(3, size=40)
     p = np.where(kinds[which] == 1, 0.9, 0.1).T[:, :, None]
     kept = alike_first(LabelTable.dense(p), 5)
     firsts = [int(np.flatnonzero(which == kind)[0]) for kind in range(3)]
@@ -213,6 +212,9 @@ def test_second_opinions_come_after_every_kind() -> None:
     assert len(kept) == 5
     seconds = sorted(int(np.flatnonzero(which == kind)[1]) for kind in range(3))
     assert sorted(set(kept.tolist()) - set(firsts)) == seconds[:2]
+    # After message 0 types differ in the answer to the first question, and never in the second.
+    asked = [[[0, 1, 0, 1], [0, 0, 1, 1]]] * 2
+    assert alike_first(LabelTable.by_type([[0, 2], [1, 2]], asked), 5).tolist() == [0]
 
 
 def test_the_nearest_differ_in_the_fewest_features() -> None:

@@ -166,6 +166,9 @@ def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
     """
     yes = table.p >= 0.5
     same = (table.answered == table.answered[:, :, :1]).all(axis=(1, 2))
+    if (table.relevant != table.relevant[0]).any():  # then a row has another message set by type
+        for q in np.flatnonzero(same).tolist():
+            same[q] = len({*table.of_steps([q]).effective()}) == 1
     turn: dict[bytes, int] = {}
     silent: dict[bytes, int] = {}
     order: list[tuple[int, int, int]] = []

@@ -223,8 +223,8 @@ class LabelTableCache:
         new = {key: i for i, key in enumerate(keys) if key not in self.tables}
         if new:
             rows = list(new.values())
-            asked = labeler.table(features[rows], transitions[rows])
-            self.tables.update(zip(new, asked.p[:, :, 0], strict=True))
+            asked = labeler.table(features[rows], transitions[rows]).array(labeler.n_messages)
+            self.tables.update(zip(new, asked[0], strict=True))
         return LabelTable.dense([[self.tables[key] for key in keys]])
 
 
