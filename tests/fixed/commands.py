@@ -120,8 +120,7 @@ def study(folder: Path) -> Kept:
 def served(folder: Path, command: str, people: int, *words: str) -> Path:
     """Runs a server that simulated people visit, one after the other, replays its log, and returns
     the export."""
-    rate = ("server.requests_per_second=1000", "server.burst=1000")
-    with ServerProcess(folder / "d.sqlite", *words, *rate, command=command) as server:
+    with ServerProcess(folder / "d.sqlite", *words, command=command) as server:
         where = ("--url", server.url, "--key", server.key, "--save", "out.zip")
         xplain(folder, command, "bots", *where, "--count", str(people), "--at-once", "1")
     xplain(folder, command, "replay", "d.sqlite")

@@ -22,7 +22,6 @@ from tests import processes
 from xplain.people.flow import Flow
 from xplain.people.store import Store
 
-RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -97,10 +96,10 @@ class ServerProcess:
 
 
 def serving(database: Path, flow: Flow[Any, Any], *overrides: str) -> ServerProcess:
-    """A server of a flow, almost without limits on requests. The database has the flow's plan."""
+    """A server of a flow, whose database has the flow's plan."""
     Store(database, flow).close()
     command = flow.PACKAGE.rpartition(".")[2]
-    return ServerProcess(database, *RATE, *overrides, command=command)
+    return ServerProcess(database, *overrides, command=command)
 
 
 @contextmanager

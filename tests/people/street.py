@@ -273,4 +273,4 @@ def filled(kind: str, path: Path, people: int = 3) -> list[str]:
     with closing(Store(path, flow_of(kind))) as store:
         ends = take_part(store, (bot_of(store.flow, number) for number in range(people)))
         assert {*ends} == {"done"}
-        return [*store.people]
+        return [one.id for one in store.present()]

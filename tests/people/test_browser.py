@@ -36,7 +36,6 @@ from tests.people.street import ASKING, SCREENS, bot_of, flow_of
 from tests.people.visitors import GENEROUS, Opened, differences, query
 from xplain.experiment.config import compose_config
 from xplain.people.bots import Bot, Page, Researcher
-from xplain.people.server import Keys
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.people.study.prepare import study_plan
@@ -237,7 +236,7 @@ def test_every_page_is_accessible_in_sight_and_photographed(
         seen.add(name)
 
     store = opened(rescue)
-    key = Keys(store.secret).researcher
+    key = store.researcher_key
     with running(create_app(store, GENEROUS)) as url:
         driver.get(f"{url}/?invitation={store.invite(1, 'pilot')[0]}")
         look_at(driver, axe, "entrance")
@@ -302,7 +301,7 @@ def test_a_question_is_accessible_in_sight_and_photographed(
         for cell, (user_type, condition) in enumerate(plan.cells):
             if condition != "asking":
                 continue
-            preview(driver, url, Keys(store.secret).researcher, cell)
+            preview(driver, url, store.researcher_key, cell)
 
             def look(page: Page) -> None:
                 if page.stage == "asking":

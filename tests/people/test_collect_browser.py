@@ -26,7 +26,6 @@ from xplain.experiment.config import compose_config
 from xplain.people.bots import Page
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.prepare import collect_plan
-from xplain.people.server import Keys
 from xplain.people.web import create_app
 from xplain.questions.designs import Adaptive
 
@@ -48,7 +47,7 @@ def test_every_page_is_accessible_and_is_photographed(
     driver: Driver, axe: str, rescue: Collection, opened: Opened, run: Run
 ) -> None:
     store, seen = opened(rescue), dict[str, int]()
-    key = Keys(store.secret).researcher
+    key = store.researcher_key
     with running(create_app(store, GENEROUS)) as url:
 
         def look(page: Page) -> None:

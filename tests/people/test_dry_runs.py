@@ -34,7 +34,6 @@ from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.prepare import collect_plan
 from xplain.people.flow import Fields
-from xplain.people.server import Keys
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
@@ -81,7 +80,7 @@ def test_bots_trust_the_labs_own_authority(
     made += ["subjectAltName=IP:127.0.0.1", "-keyout", files["ssl_keyfile"]]
     subprocess.run(["openssl", *made, "-out", files["ssl_certfile"]], check=True)
     monkeypatch.setenv("https_proxy", "http://127.0.0.1:1")
-    key = Keys(store.secret).researcher
+    key = store.researcher_key
     with running(create_app(store, GENEROUS), **files) as url:
         with pytest.raises(InputError, match="certificate verify failed"):
             Researcher(url, key)
@@ -183,7 +182,7 @@ def test_from_bots_to_types(opened: Opened, tmp_path: Path, run: Run) -> None:
     collection = street_collection(points=20)
     store = opened(collection)
     with running(create_app(store, GENEROUS)) as url:
-        bots = ("--url", url, "--key", Keys(store.secret).researcher, "--count", 18, "--at-once", 6)
+        bots = ("--url", url, "--key", store.researcher_key, "--count", 18, "--at-once", 6)
         habits = ("--error", 0.05, "--lapse", 0.02)
         assert "18 done" in run("collect bots", *bots, *habits, "--save", "collect.zip")[1]
     store.close()

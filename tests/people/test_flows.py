@@ -3,6 +3,7 @@ ends."""
 
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -22,12 +23,17 @@ ADMITTED: dict[str, dict[str, Any]] = {
     | {"orders": {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}},
     "collect": {"number": 5, "role": None, "others": {}},
 }
-PAYLOADS = st.recursive(
-    st.none() | st.booleans() | st.integers(-5, 9) | st.text("aZ09 é٤<&", max_size=5) | st.floats(),
-    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text("ab", max_size=3), inner),
-    max_leaves=6,
+FIELDS = (
+    "agree",
+    "text",
+    "label",
+    "true",
+    *(f"{name}{i}" for name in ("label_", "q", "fact_") for i in range(5)),
+    "answer_age",
+    "answer_comment",
 )
-KEYS = ("agree", "text", "label", "labels", "answers", "chosen", "stated", "age", "comment")
+VALUES = st.sampled_from(("0", "1", "2", "3")) | st.text("aZ09 é٤<&", max_size=5)
+FORMS = st.dictionaries(st.sampled_from(FIELDS), VALUES)
 kinds = pytest.mark.parametrize("kind", KINDS)
 
 
@@ -76,11 +82,12 @@ def test_every_page_hears_its_own_event_alone_and_nothing_after_the_end(kind: st
 def test_what_is_missing_or_cannot_be_is_refused(kind: str) -> None:
     flow = flow_of(kind)
     for state in states(kind)[:-1]:
-        if flow.waits_for(state) in ("read", "answers"):
-            continue  # reading and answering nothing are both allowed
-        for wrong in ({}, {"labels": [3]}, {"labels": [None]}, {"labels": [1] * 9, "stated": [0]}):
+        if flow.waits_for(state) in ("read", "answers", "quiz"):
+            continue  # reading, answering nothing and ticking nothing are allowed
+        names = ("agree", "label", "label_0", "q0", "fact_0")
+        for wrong in ({}, *(dict.fromkeys(names, value) for value in ("9", "-1", "", "٤"))):
             with pytest.raises(Refused):
-                flow.advance(state, flow.waits_for(state), wrong)
+                flow.read(state, flow.waits_for(state), ImmutableMultiDict(wrong))
 
 
 @kinds
@@ -95,8 +102,6 @@ def test_practice_goes_on_until_it_is_understood(kind: str) -> None:
     assert (again.stage, again.part, again.wrong) == (state.stage, 1, True)
     done = flow.advance(again, "example", {"label": 1})
     assert (done.stage != state.stage, done.wrong) == (True, False)
-    with pytest.raises(Refused):
-        flow.advance(state, "example", {"label": 3})
 
 
 @kinds
@@ -110,21 +115,18 @@ def test_practice_goes_on_until_it_is_understood(kind: str) -> None:
         ({"age": "111"}, False),
         ({"age": "40.5"}, False),
         ({"age": "-40"}, False),
-        ({"age": "٤٠"}, False),
-        ({"age": 40}, False),
+        ({"age": "٤٠"}, True),
         ({"comment": "x" * 201}, False),
-        ({"shoe": "42"}, False),
     ],
 )
 def test_questions_take_what_lies_within_their_bounds(
-    kind: str, answers: dict[str, object], accepted: bool
+    kind: str, answers: dict[str, str], accepted: bool
 ) -> None:
     flow, state = flow_of(kind), at(kind, "answers")
-    if accepted:
-        assert flow.advance(state, "answers", answers).stage == "done"
-    else:
-        with pytest.raises(Refused):
-            flow.advance(state, "answers", answers)
+    form = ImmutableMultiDict({f"answer_{name}": value for name, value in answers.items()})
+    with nullcontext() if accepted else pytest.raises(Refused):
+        read = flow.read(state, "answers", form)
+        assert flow.advance(state, "answers", read).stage == "done"
 
 
 @kinds
@@ -167,9 +169,9 @@ def test_whatever_comes_is_refused_or_leads_to_a_stage(kind: str, data: Any) -> 
     flow, state = flow_of(kind), data.draw(st.sampled_from(states(kind)))
     own = [one.kind for one in flow.STAGES if one.kind != "consent"]
     event = data.draw(st.sampled_from([*own, "return", "withdraw", "", "x"]))
-    payload = data.draw(st.dictionaries(st.sampled_from(KEYS), PAYLOADS))
+    form = ImmutableMultiDict(data.draw(FORMS))
     try:
-        after: State = flow.advance(state, event, payload)
+        after: State = flow.advance(state, event, flow.read(state, event, form))
     except Refused:
         return
     assert after.accepted == state.accepted + 1
@@ -189,6 +191,3 @@ def test_who_does_not_look_ahead_is_shown_what_comes_later(kind: str) -> None:
     for before in (state, wrong):
         after = flow.advance(before, "ahead", {"label": 1})
         assert (after.stage != "ahead", after.wrong) == (True, False)
-    for nothing in ({}, {"label": 3}, {"label": None}):
-        with pytest.raises(Refused):
-            flow.advance(state, "ahead", nothing)

@@ -42,7 +42,7 @@ introduction:
   - "A delivery robot drives through our house. It takes parcels from door to door."
 """
 ATTENTION = 'attention: "The robot turns on the spot for an hour, while the parcels wait."\n'
-LIMITS = ("server.burst=1e6", "server.visitor_burst=1e6", "server.blinded=false")
+LIMITS = ("server.blinded=false",)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from xplain.people.web import create_app
 Opened = Callable[..., Store]
 """Opens a store of a flow."""
 Walk = Iterator[tuple[str, Page]]
-GENEROUS = Server(("invitation", "open"), burst=1e9, visitor_burst=1e9, blinded=False)
+GENEROUS = Server(("invitation", "open"), blinded=False)
 
 
 LOCAL = threading.local()

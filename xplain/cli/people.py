@@ -165,7 +165,6 @@ def run_server(
     """Serves pages until the server is stopped."""
     import uvicorn
 
-    from xplain.people.server import Keys
     from xplain.people.store import Store
     from xplain.people.web import create_app
 
@@ -177,7 +176,7 @@ def run_server(
         )
     host = f"[{cfg.host}]" if ":" in cfg.host else cfg.host
     with closing(Store(path, flow)) as store:
-        key = "as set in server.key" if server.key else Keys(store.secret).researcher
+        key = "as set in server.key" if server.key else store.researcher_key
         print(
             f"{name}: {server.address or f'http://{host}:{cfg.port}'}/  ·  researcher's page: "
             f"/researcher, key {key}\n"
@@ -185,7 +184,7 @@ def run_server(
             file=sys.stderr,
             flush=True,
         )
-        settings: Any = {"log_level": "warning", "proxy_headers": False, "server_header": False}
+        settings: Any = {"log_level": "warning", "server_header": False}
         settings |= {"timeout_keep_alive": 30, "timeout_graceful_shutdown": 5}
         uvicorn.run(create_app(store, server), host=cfg.host, port=cfg.port, **settings)
 

@@ -6,6 +6,7 @@ Types and conditions of participants stay hidden by default.
 import secrets
 import shutil
 import tempfile
+import time
 from collections import Counter
 from importlib import import_module
 from pathlib import Path
@@ -15,15 +16,17 @@ from urllib.parse import urlsplit
 from fastapi import APIRouter, Depends, Response
 from starlette.exceptions import HTTPException
 
-from xplain.errors import InputError, Refused
+from xplain.errors import InputError
 from xplain.people.export import write_identifiers
-from xplain.people.flow import STREAMS, small
-from xplain.people.server import LOOPBACK, SESSION
-from xplain.people.site import RESEARCHER, Visit, Visiting
+from xplain.people.flow import STREAMS, pick
+from xplain.people.server import LOOPBACK
+from xplain.people.site import Visit, Visiting
 
 desk = APIRouter(prefix="/researcher")
 MOST_INVITATIONS = 500
 MOST_SHOWN = 500
+GUESSES = 10
+"""Wrong researcher's keys per minute that each address may send."""
 
 
 def require_login(visit: Visiting) -> Visit:
@@ -45,17 +48,17 @@ Signed = Annotated[Visit, Depends(require_login)]
 def overview(visit: Visiting) -> Response:
     """Shows the overview, or the login form."""
     site, here, request = visit.site, visit.researcher, visit.request
-    if here is None:
+    if not here:
         return visit.page("login.html")
     flow, store, blinded = site.flow, site.store, site.server.blinded
     people = store.present()
     counted = Counter((one.stream, flow.part(one.state.stage)) for one in people)
-    latest = sorted(people, key=lambda one: -one.latest.number)[:MOST_SHOWN]
+    latest = sorted(people, key=lambda one: -one.events[-1].number)[:MOST_SHOWN]
     host = f"{request.scope['scheme']}://{request.headers.get('host', '')}{site.server.path}"
     return visit.page(
         "glance.html",
         **import_module(f"{flow.PACKAGE}.tables").glance(flow, people),
-        token=site.keys.form(here),
+        token=site.token(here),
         cells=flow.cells,
         columns={} if blinded else flow.about(flow.STATE()),
         people=[(one, {} if blinded else flow.about(one.state)) for one in latest],
@@ -75,32 +78,32 @@ def overview(visit: Visiting) -> Response:
 @desk.post("/login")
 def login(visit: Visiting) -> Response:
     """Checks the key and opens a session for this browser."""
-    site = visit.site
-    if not site.keys.is_researcher(visit.field("key"), site.server.key):
-        if not site.guess_limit.allows(visit.address):
+    site, sent = visit.site, visit.field("key").encode(errors="replace")
+    if not secrets.compare_digest(sent, (site.server.key or site.store.researcher_key).encode()):
+        now = int(time.monotonic() // 60)
+        site.guesses = Counter({k: n for k, n in site.guesses.items() if k[0] == now})
+        site.guesses[now, visit.address] += 1
+        if site.guesses[now, visit.address] > GUESSES:
             raise HTTPException(429, "too_fast")
         raise HTTPException(403, "This is not the researcher's key. The server prints it at start.")
     site.sessions.add(new := secrets.token_hex(16))
-    reply = visit.lead("/researcher")
-    visit.set_cookie(reply, RESEARCHER, site.keys.cookie(new, SESSION), "strict")
-    return reply
+    visit.session["researcher"] = new
+    return visit.lead("/researcher")
 
 
 @desk.post("/logout")
 def logout(visit: Signed) -> Response:
     """Ends this browser's session on the server and in the browser."""
-    visit.site.sessions.discard(visit.researcher or "")
-    reply = visit.lead("/researcher")
-    visit.set_cookie(reply, RESEARCHER, "")
-    return reply
+    visit.site.sessions.discard(visit.session.pop("researcher"))
+    return visit.lead("/researcher")
 
 
 @desk.post("/invitations")
 def invitations(visit: Signed) -> Response:
     """Creates invitations and redirects to the page that shows them."""
-    count, stream = small(visit.field("count")), visit.field("stream")
-    if not count or count > MOST_INVITATIONS or stream not in STREAMS:
-        said = f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}."
+    said = f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}."
+    count, stream = pick(visit.field("count"), MOST_INVITATIONS + 1, said), visit.field("stream")
+    if not count or stream not in STREAMS:
         raise HTTPException(400, said)
     if stream == "person" and "invitation" not in visit.site.server.entry:
         raise HTTPException(400, "People need server.entry=[invitation]; pilots and bots do not.")
@@ -119,11 +122,9 @@ def pause(visit: Signed) -> Response:
 @desk.post("/preview")
 def preview(visit: Signed) -> Response:
     """Makes this browser a pilot with a chosen type and condition."""
-    cell = small(visit.field("cell"))
-    try:
-        return visit.let_in(visit.site.store.enter_as_pilot(-1 if cell is None else cell))
-    except Refused as error:
-        raise HTTPException(400, str(error)) from None
+    store = visit.site.store
+    cell = pick(visit.field("cell"), len(store.flow.cells), "not_understood")
+    return visit.let_in(store.enter_as_pilot(cell))
 
 
 @desk.post("/erase")

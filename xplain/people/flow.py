@@ -13,7 +13,7 @@ flow. After timed_out the participant may return to the earlier stage.
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
@@ -110,70 +110,52 @@ class Event(NamedTuple):
     number: int
 
 
-NOTHING = Event("", 0, "", 0, "", 0.0, 0.0, "", None, {}, None, 0)
-
-
 @dataclass(frozen=True)
 class Participant(Generic[S]):
     """A participant, as their events describe them.
 
     Attributes:
         id: the id in every table.
-        number: 1, 2, … in order of arrival.
         kind: class of the state.
-        text: the state as JSON.
-        about: payload of the arrival event: ``stream`` (person, pilot or bot), and ``entry``, which
-            is how the participant entered, such as "platform".
-        identity: identifiers, which no export contains: the keyed hashes ``key`` and ``session``,
-            the completion ``code``, and ``kept``, the platform's ids without a hash.
-        entered: time of arrival by the server's wall clock.
-        latest: the last event.
-        shown: number of the last page that was rendered.
-        reported: number of events that the participant's pages reported.
-        erased: True if the data was erased.
-        events: events in order, if they were requested.
+        events: the events in order, from the arrival to the latest; a reader may leave out others.
     """
 
     id: str
-    number: int
     kind: type[S]
-    text: str = "{}"
-    about: Mapping[str, Any] = field(default_factory=dict)
-    identity: Mapping[str, Any] = field(default_factory=dict)
-    entered: float = 0.0
-    latest: Event = NOTHING
-    shown: int = -1
-    reported: int = 0
-    erased: bool = False
-    events: tuple[Event, ...] = ()
-
-    def after(self, event: Event) -> Self:
-        """Returns the participant after one more event."""
-        changes: dict[str, Any] = {
-            "latest": event,
-            "erased": self.erased or event.kind == "erase",
-        }
-        if event.state:
-            changes["text"] = event.state
-        if event.sequence == 0:
-            changes |= {"about": event.payload, "entered": event.wall}
-        elif event.source == "identity":
-            changes["identity"] = {**self.identity, **event.payload}
-        elif event.source == "shown":
-            changes["shown"] = max(self.shown, event.source_sequence)
-        elif event.source.startswith("tab:"):
-            changes["reported"] = self.reported + 1
-        return replace(self, **changes)
+    events: tuple[Event, ...]
 
     @cached_property
     def state(self) -> S:
         """The participant's current state."""
-        return self.kind.from_text(self.text)
+        return self.kind.from_text(next(e.state for e in reversed(self.events) if e.state))
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """The payload of the arrival event: ``number``, 1, 2, … in order of arrival; ``stream``;
+        and ``entry``, which is how the participant entered, such as "platform"."""
+        return self.events[0].payload
+
+    @property
+    def number(self) -> int:
+        """1, 2, … in order of arrival."""
+        return int(self.about["number"])
 
     @property
     def stream(self) -> str:
         """The participant's stream: person, pilot or bot."""
         return str(self.about["stream"])
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Identifiers, which no export contains: the keyed hashes ``key`` and ``session``, the
+        completion ``code``, and ``kept``, the platform's ids without a hash."""
+        own = (e.payload for e in self.events if e.source == "identity")
+        return {key: value for payload in own for key, value in payload.items()}
+
+    @property
+    def shown(self) -> int:
+        """The number of the last page that was rendered; −1 before the first page."""
+        return max((e.source_sequence for e in self.events if e.source == "shown"), default=-1)
 
     def answers(self, kind: str) -> list[Event]:
         """Returns the accepted answers of a kind, in order."""
@@ -217,15 +199,15 @@ class Stage(Generic[F, S]):
         return {}
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
-        """Reads the payload from a form; a missing or malformed value becomes None."""
+        """Reads the payload of the page's event from a form.
+
+        Raises:
+            Refused: a value is missing or not allowed.
+        """
         return {}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """Returns the state after the page's event.
-
-        Raises:
-            Refused: the payload is not valid for the stage.
-        """
+        """Returns the state after the page's event, with a payload of :meth:`read`."""
         return flow.after(state)
 
 
@@ -353,7 +335,7 @@ class Flow(ABC, Generic[P, S]):
         """Returns the state after an event.
 
         Raises:
-            Refused: the event does not fit the stage, or its payload is not valid.
+            Refused: the event does not fit the stage.
         """
         here = self.stage(state.stage)
         if state.paused and kind == "return":
@@ -376,7 +358,11 @@ class Flow(ABC, Generic[P, S]):
         return view | (here.view(self, state) if here else {})
 
     def read(self, state: S, kind: str, form: Form) -> dict[str, Any]:
-        """Reads the payload of an event from a browser's form."""
+        """Reads the payload of an event from a browser's form.
+
+        Raises:
+            Refused: the page refuses a value.
+        """
         here = self.stage(state.stage)
         return here.read(self, state, form) if here and here.kind == kind else {}
 
@@ -393,14 +379,14 @@ class Consent(Stage[F, S]):
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """Reads the decision (``agree``: 1 or 0), and the hash of the text that was shown
         (``text``)."""
-        return {"agree": small(form.get("agree")), "text": form.get("text", "")[:64]}
+        agreed = pick(form.get("agree"), 2, flow.words["consent_missing"])
+        return {"agree": agreed, "text": form.get("text", "")[:64]}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Moves to the next stage, or to the end "declined"."""
-        agreed = choice(payload.get("agree"), 2, flow.words["consent_missing"])
         if payload.get("text") != flow.plan.texts.consent_hash:
             raise Refused(flow.words["consent_changed"])
-        if not agreed:
+        if not payload["agree"]:
             return state.to(stage="declined")
         assigned = payload.keys() & {one.name for one in fields(state)}
         return flow.after(state, **{key: payload[key] for key in assigned})
@@ -442,16 +428,8 @@ class OneLabel(Stage[F, S]):
     """A page with one step to label."""
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
-        """Reads the label."""
-        return {"label": small(form.get("label"))}
-
-    def label(self, flow: F, payload: Mapping[str, Any]) -> int:
-        """Checks the label: 1, 0 or CANNOT_TELL.
-
-        Raises:
-            Refused: nothing was chosen.
-        """
-        return choice(payload.get("label"), CANNOT_TELL + 1, flow.words["label_missing"])
+        """Reads the label: 1, 0 or CANNOT_TELL."""
+        return {"label": pick(form.get("label"), CANNOT_TELL + 1, flow.words["label_missing"])}
 
 
 class Practice(OneLabel[F, S]):
@@ -465,7 +443,7 @@ class Practice(OneLabel[F, S]):
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Moves to the other half or the next stage after a right label; stays after a wrong
         label."""
-        right = self.label(flow, payload) == state.part
+        right = payload["label"] == state.part
         if right and state.part:
             return flow.after(state, wrong=False)
         return state.to(part=int(right or state.part), wrong=not right)
@@ -482,7 +460,7 @@ class LookingAhead(OneLabel[F, S]):
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Moves on once the step makes sense to the participant."""
-        if self.label(flow, payload) == 1:
+        if payload["label"] == 1:
             return flow.after(state, wrong=False)
         return state.to(wrong=True)
 
@@ -506,17 +484,12 @@ class QuestionStage(Stage[F, S]):
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """Reads the answers by name."""
         asked = self.needs(flow.plan)
-        return {one.name: one.read(form.get(one.field, "")) for one in asked}
+        return {one.name: one.read(form.get(one.field, ""), flow.words) for one in asked}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """Checks each answer, and moves on."""
-        asked = self.needs(flow.plan)
-        for one in asked:
-            if problem := one.problem(payload.get(one.name, ""), flow.words):
-                raise Refused(problem)
-        if payload.keys() - {one.name for one in asked}:
-            raise Refused(flow.words["not_understood"])
-        if self.missed and any(q.right and payload.get(q.name) != q.right for q in asked):
+        """Moves on, or to the end after a wrong answer."""
+        asked = self.needs(flow.plan) if self.missed else ()
+        if any(one.right and payload[one.name] != one.right for one in asked):
             return state.to(stage=self.missed)
         return flow.after(state)
 
@@ -524,31 +497,13 @@ class QuestionStage(Stage[F, S]):
 # Answers ----------------------------------------------------------------------------------------
 
 
-def small(text: object) -> int | None:
-    """Parses a whole number 0 … 999 in plain digits; None for any other text."""
-    if isinstance(text, str) and 0 < len(text) <= 3 and text.isascii() and text.isdigit():
-        return int(text)
-    return None
-
-
-def choice(value: object, count: int, otherwise: str) -> int:
-    """Checks an integer 0 … count − 1 (booleans are accepted).
+def pick(text: str | None, count: int, otherwise: str) -> int:
+    """Reads a choice, a whole number 0 … count − 1 in plain digits, from a field.
 
     Raises:
-        Refused: any other value; the text is ``otherwise``.
+        Refused: any other text; the error has the text ``otherwise``.
     """
-    if not isinstance(value, int) or not 0 <= value < count:
+    digits = text or ""
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= 3 and int(digits) < count):
         raise Refused(otherwise)
-    return int(value)
-
-
-def choices(values: object, counts: Sequence[int], otherwise: str) -> tuple[int, ...]:
-    """Checks a list of choices: choice i is an integer 0 … counts[i] − 1.
-
-    Raises:
-        Refused: an invalid choice, as in :func:`choice`, or another number of choices.
-    """
-    if not isinstance(values, list) or len(values) != len(counts):
-        raise Refused(otherwise)
-    pairs = zip(values, counts, strict=True)
-    return tuple(choice(value, count, otherwise) for value, count in pairs)
+    return int(digits)

@@ -12,8 +12,8 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -50,10 +50,17 @@ CREATE TABLE event (
     UNIQUE (participant, sequence),
     UNIQUE (participant, source, source_sequence)
 ) STRICT;
+CREATE INDEX event_state ON event (participant) WHERE state IS NOT NULL;
+CREATE INDEX event_key ON event (payload ->> 'key') WHERE source = 'identity';
 {FIXED};
 CREATE TRIGGER event_kept BEFORE DELETE ON event
 BEGIN SELECT RAISE(ABORT, 'events are never deleted'); END;
 COMMIT;"""
+BRIEF = """number IN (SELECT min(number) FROM event GROUP BY participant
+UNION SELECT max(number) FROM event GROUP BY participant
+UNION SELECT max(number) FROM event WHERE state IS NOT NULL GROUP BY participant
+UNION SELECT number FROM event WHERE source = 'identity')"""
+"""The first and the latest event of each participant, the latest with a state, and identifiers."""
 OVERWRITTEN = "source = 'erased', source_sequence = sequence, browser = NULL, payload = '{}'"
 NO_TIME = "wall = 0, monotonic = 0, boot = ''"
 NO_KIND = "state = iif(kind = 'erase', state, NULL), kind = iif(kind = 'erase', kind, 'erased')"
@@ -88,15 +95,8 @@ class Unknown(Exception):
 
 
 class Log(Generic[S]):
-    """The events of one file and the state that they describe. Safe to call from several threads.
-
-    Attributes:
-        plan: the plan as text; "" before the start.
-        paused: True if no new participants are admitted.
-        invited: stream of each invitation, by the keyed hash of its token.
-        people: participants by id, in order of arrival.
-        keys: participant ids by the keyed hash of their invitation or platform id.
-    """
+    """The events of one file. Nothing else is stored, on the disk or in memory. Safe to call from
+    several threads."""
 
     def __init__(
         self, path: Path, kind: type[S], clock: Clock | None = None, patience: float = RELEASE
@@ -134,7 +134,7 @@ class Log(Generic[S]):
                     raise sqlite3.DatabaseError(f"damaged: {verdict}; restore a backup")
                 if not self._connection.execute("SELECT 1 FROM sqlite_master").fetchone():
                     self._connection.executescript(SCHEMA)
-                self._load_events()
+                self._connection.execute("SELECT number FROM event LIMIT 1")
             except sqlite3.DatabaseError as error:
                 raise InputError("database", str(path), f"cannot be used ({error})") from None
             self._opened = opened.pop_all()
@@ -144,26 +144,6 @@ class Log(Generic[S]):
         with self._lock:
             self._opened.close()
 
-    def _load_events(self) -> None:
-        self.plan, self.paused = "", False
-        self.invited, self.keys = dict[str, str](), dict[str, str]()
-        self.people = dict[str, Participant[S]]()
-        for event in self.events():
-            self._apply_event(event)
-
-    def _apply_event(self, event: Event) -> None:
-        """Updates the state in memory by an event."""
-        who, told = event.participant, event.payload
-        if not who:
-            self.plan = told.get("plan", self.plan)
-            self.paused = told.get("paused", self.paused)
-            self.invited |= dict.fromkeys(told.get("tokens", ()), event.kind)
-            return
-        known = self.people.get(who) or Participant(who, len(self.people) + 1, self.kind)
-        self.people[who] = known.after(event)
-        if event.source == "identity" and "key" in told:
-            self.keys[told["key"]] = who
-
     @contextmanager
     def changes(self) -> Iterator[None]:
         """Makes the block a transaction: either all its changes are stored or none. All changes are
@@ -172,17 +152,9 @@ class Log(Generic[S]):
             if self._connection.in_transaction:  # part of an open transaction
                 yield
                 return
-            before = self._connection.total_changes
             self._connection.execute("BEGIN IMMEDIATE")
-            try:
+            with self._connection:
                 yield
-                self._connection.execute("COMMIT")
-            except BaseException:
-                with suppress(sqlite3.OperationalError):  # SQLite has already rolled back
-                    self._connection.execute("ROLLBACK")
-                if self._connection.total_changes != before:
-                    self._load_events()
-                raise
 
     def append(
         self,
@@ -213,9 +185,7 @@ class Log(Generic[S]):
         now = self.clock.wall(), self.clock.monotonic(), self.clock.boot
         row = (who, sequence, source, number, kind, *now, browser, text, state, None)
         sql = f"INSERT INTO event VALUES ({', '.join('?' * len(row))}) ON CONFLICT DO NOTHING"
-        stored = self._connection.execute(sql, row)
-        if stored.rowcount:
-            self._apply_event(Event(*row[:-3], json.loads(text), state, stored.lastrowid or 0))
+        self._connection.execute(sql, row)
 
     def events(self, where: str = "TRUE", *values: Any) -> Iterator[Event]:
         """Yields events in order of arrival, with decoded payloads."""
@@ -225,13 +195,27 @@ class Log(Generic[S]):
         for event in map(Event._make, rows):
             yield event._replace(payload=json.loads(str(event.payload)))
 
-    def everybody(self) -> list[Participant[S]]:
-        """Returns all participants whose data is not erased, with events, in order of arrival."""
+    def group_events(self, where: str = "TRUE", *values: Any) -> dict[str, list[Event]]:
+        """Returns events by participant, in order, without events of the server itself."""
         own: dict[str, list[Event]] = {}
-        for event in self.events():
+        for event in self.events(f"participant > '' AND {where}", *values):
             own.setdefault(event.participant, []).append(event)
-        stayed = (one for one in self.people.values() if not one.erased)
-        return [replace(one, events=tuple(own[one.id])) for one in stayed]
+        return own
+
+    def everybody(self, which: str = "TRUE") -> list[Participant[S]]:
+        """Returns all participants whose data is not erased, with their events, in order of
+        arrival.
+
+        Args:
+            which: the events to read, at least those of :data:`BRIEF`.
+        """
+        own = self.group_events(which).items()
+        return [Participant(i, self.kind, (*e,)) for i, e in own if e[-1].kind != "erase"]
+
+    def find_owner(self, key: str) -> str:
+        """Returns the id of the participant with a key among their identifiers, or ""."""
+        found = self.events("source = 'identity' AND payload ->> 'key' = ?", key)
+        return next((event.participant for event in found), "")
 
     def snapshot(self, path: Path) -> None:
         """Writes a consistent copy of everything, for exports; ``path`` must not exist."""
@@ -244,7 +228,6 @@ class Log(Generic[S]):
         sql = f"UPDATE event SET {what} WHERE participant = ? AND {which}"
         self._connection.execute(sql, (who,))
         self._connection.execute(FIXED)
-        self._load_events()
 
     def erase(self, who: str, keep_key: bool = True) -> None:
         """Erases one participant's answers and platform ids.
@@ -305,7 +288,7 @@ def read(path: Path, plan: type[Plan], state: type[S]) -> tuple[Plan, list[Parti
     Raises:
         InputError: the file is not a database with a plan of this kind.
     """
-    if not path.is_file() or read_plan(path, plan) is None:
+    if not path.is_file() or (found := read_plan(path, plan)) is None:
         raise InputError("database", str(path), f"a database in which {plan.OF} was started")
     with closing(Log(path, state, patience=0)) as log:
-        return plan.from_text(log.plan), log.everybody()
+        return found, log.everybody()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 import pydantic
 
 from xplain.domains.base import Parameter, Scene
-from xplain.errors import InputError
+from xplain.errors import InputError, Refused
 from xplain.storage import decode, encode
 
 T = TypeVar("T")
@@ -105,7 +104,7 @@ class LabQuestion:
     """A question from the lab to the participant.
 
     This class alone defines the kinds of answers: the browser checks :attr:`attributes`, and the
-    server uses :meth:`read` and :meth:`problem`.
+    server uses :meth:`read`.
 
     Attributes:
         name: the column in the data.
@@ -173,30 +172,30 @@ class LabQuestion:
             found |= {"maxlength": self.max_length}
         return found
 
-    def read(self, text: str) -> str:
-        """Normalises an answer: no surrounding blanks, lines end in a line feed, whole numbers have
-        no ".0"."""
-        text = text.replace("\r\n", "\n").translate(_NO_TEXT).strip()
-        minus = text.replace("\N{MINUS SIGN}", "-")
-        whole = _NUMBER.fullmatch(minus) if self.kind == "number" else None
-        return str(int(whole[1])) if whole else text
+    def read(self, text: str, words: Mapping[str, str]) -> str:
+        """Reads an answer: no surrounding blanks, lines end in a line feed, whole numbers have no
+        ".0".
 
-    def problem(self, value: object, words: Mapping[str, str]) -> str:
-        """Returns the error message that participants read about their answer; "" for a valid
-        answer."""
-        label = self.label
-        units = len(value.encode("utf-16-le")) // 2 if isinstance(value, str) else math.inf
-        if not isinstance(value, str) or units > self.max_length:
-            return words["too_long"].format(label=label, most=self.max_length)
-        if self.needed and not value:
-            return words["answer_this"].format(label=label)
-        if value and self.options and value not in self.options:
-            return words["choose_one"].format(label=label)
-        whole = _NUMBER.fullmatch(value) if value.isascii() else None
+        Raises:
+            Refused: the answer is not allowed; participants read the error.
+        """
+        text = text.replace("\r\n", "\n").translate(_NO_TEXT).strip()
+        whole = _NUMBER.fullmatch(text.replace("\N{MINUS SIGN}", "-"))
+        if self.kind == "number" and whole:
+            text = str(int(whole[1]))
         allowed = whole is not None and self.low <= int(whole[1]) <= self.high
-        if value and self.kind == "number" and not allowed:
-            return words["whole_number"].format(label=label, low=self.low, high=self.high)
-        return ""
+        # word that says what is wrong: True if it is wrong
+        rules = {
+            "too_long": len(text.encode("utf-16-le", "replace")) // 2 > self.max_length,
+            "answer_this": self.needed and not text,
+            "choose_one": bool(text and self.options) and text not in self.options,
+            "whole_number": bool(text) and self.kind == "number" and not allowed,
+        }
+        about = {"label": self.label, "most": self.max_length, "low": self.low, "high": self.high}
+        for key, wrong in rules.items():
+            if wrong:
+                raise Refused(words[key].format(**about))
+        return text
 
 
 _NO_TEXT = dict.fromkeys({*range(32)} - {*map(ord, "\t\n")})

@@ -1,117 +1,16 @@
-"""The settings of a server of pages, its signatures, and its limits on requests."""
+"""The settings of a server of pages."""
 
-import hashlib
-import hmac
-import time
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, Literal, get_args
 from urllib.parse import urlsplit
 
 import jwt
 import pydantic
-from itsdangerous import BadSignature, Signer
 
 from xplain.errors import InputError
-
-
-@dataclass
-class RateLimit:
-    """A token bucket for each key. The least recently used keys are removed first.
-
-    Attributes:
-        per_second: tokens gained each second.
-        burst: maximum number of tokens.
-        clock: seconds, monotonic.
-        most: maximum number of keys.
-    """
-
-    per_second: float
-    burst: float
-    clock: Callable[[], float] = time.monotonic
-    most: int = 20_000
-    _buckets: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
-
-    def allows(self, key: str) -> bool:
-        """Takes a token of this key. Returns False if the key has no token left."""
-        now = self.clock()
-        tokens, last = self._buckets.pop(key, (self.burst, now))
-        tokens = min(self.burst, tokens + (now - last) * self.per_second)
-        allowed = tokens >= 1
-        self._buckets[key] = (tokens - allowed, now)
-        if len(self._buckets) > self.most:
-            self._buckets.popitem(last=False)
-        return allowed
-
-
-OWNER, SESSION = "participant", "researcher session"
-"""Purposes of a cookie."""
-_FORM, _RESEARCHER = "form", "researcher"
-"""Purposes of a form's token and of the researcher's key. The second purpose signs nothing, because
-half of its derived key is shown."""
-
-
-@dataclass(frozen=True)
-class Keys:
-    """Signs cookies and form tokens, each for one purpose.
-
-    Attributes:
-        secret: the server's secret; it never leaves the server.
-    """
-
-    secret: bytes = field(repr=False)
-
-    def cookie(self, who: str, purpose: str = OWNER) -> str:
-        """Makes the signed cookie with a participant's id or a researcher's session."""
-        return self._make_signer(purpose).sign(who).decode()
-
-    def owner(self, cookie: str, purpose: str = OWNER) -> str | None:
-        """Returns the owner of a cookie; None if it is forged or has another purpose."""
-        try:
-            return self._make_signer(purpose).unsign(_encode(cookie)).decode()
-        except BadSignature:
-            return None
-
-    def form(self, who: str) -> str:
-        """Makes the token that is in every form of a participant, visitor or researcher ``who``: a
-        signature of ``who``, which does not contain ``who``."""
-        return self._make_signer(_FORM).get_signature(who).decode()
-
-    def owns_form(self, who: str, token: str) -> bool:
-        """True if this token belongs to this participant, visitor or researcher."""
-        return self._make_signer(_FORM).verify_signature(_encode(who), _encode(token))
-
-    @property
-    def mark(self) -> str:
-        """A short code that identifies this server in the names of its cookies and in its replies
-        to answers."""
-        return self._make_signer("mark").derive_key().hex()[:12]
-
-    @property
-    def researcher(self) -> str:
-        """The key for the researcher's page; the same at every start."""
-        return self._make_signer(_RESEARCHER).derive_key().hex()[:32]
-
-    def is_researcher(self, typed: str, configured: str = "") -> bool:
-        """True if this is the researcher's key; compares in constant time."""
-        return hmac.compare_digest(_encode(typed), _encode(configured or self.researcher))
-
-    def _make_signer(self, purpose: str) -> Signer:
-        """Makes a signer (HMAC-SHA256) with a separate key for this purpose, which compares in
-        constant time."""
-        return Signer(
-            self.secret, salt=purpose, key_derivation="hmac", digest_method=hashlib.sha256
-        )
-
-
-def _encode(text: str) -> bytes:
-    """Encodes text from a browser, which may contain invalid characters such as half a surrogate
-    pair."""
-    return text.encode(errors="replace")
-
 
 Ending = Literal["declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full"]
 """Ends that can have their own completion code, besides the normal end."""
@@ -119,8 +18,6 @@ LEAST_KEY, LEAST_SECRET = 12, 32
 """Minimum characters of the researcher's key, and minimum bytes of a secret that signs links."""
 LOOPBACK = ("127.0.0.1", "localhost", "::1", "0.0.0.0", "::")
 """Hosts whose links work only on the server's own computer."""
-GUESSES = 10
-"""Wrong researcher's keys per minute that each address may send."""
 
 
 @pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
@@ -152,9 +49,6 @@ class Server:
         demo: True admits people as pilots although the consent text is not edited.
         blinded: True hides types and conditions on the researcher's page.
         https: True if the public address uses https.
-        proxies: number of proxies in front that add X-Forwarded-For.
-        requests_per_second, burst: limits for one participant.
-        visitors_per_second, visitor_burst: limits for one address, for visitors without a cookie.
     """
 
     entry: tuple[Literal["invitation", "platform", "signed", "open"], ...] = ("invitation",)
@@ -173,11 +67,6 @@ class Server:
     demo: bool = False
     blinded: bool = True
     https: bool = False
-    proxies: int = 0
-    requests_per_second: float = 5.0
-    burst: float = 40.0
-    visitors_per_second: float = 20.0
-    visitor_burst: float = 300.0
 
     def __post_init__(self) -> None:
         """Raises InputError if keys contradict each other, or if a file cannot be read."""

@@ -3,12 +3,12 @@ store, and :class:`Visit`, a request with its responses."""
 
 import hashlib
 import re
+import secrets
+from collections import Counter
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from ipaddress import ip_network
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 from urllib.parse import parse_qsl, quote
 
 import jinja2
@@ -21,15 +21,13 @@ from starlette.exceptions import HTTPException
 from xplain.people import map_svg
 from xplain.people.flow import Flow, Participant
 from xplain.people.log import LETTERS
-from xplain.people.server import GUESSES, SESSION, Keys, RateLimit, Server
+from xplain.people.server import Server
 from xplain.people.store import Store
 
 MAX_BODY = 64 * 1024
 """Maximum bytes of a request; the largest valid request has a few thousand."""
 MAX_FIELDS = 200
 """Maximum number of fields in a form."""
-PARTICIPANT, VISITOR, RESEARCHER = "participant", "visitor", "researcher"
-"""Cookie names of an admitted participant, of a visitor before that, and of a researcher."""
 POLICY = (
     "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; img-src 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors "
@@ -45,7 +43,6 @@ RIGHT_TO_LEFT = (
     *("ar", "arc", "ckb", "dv", "fa", "he", "iw", "ks", "nqo", "ps", "sd", "syr", "ug", "ur", "yi"),
     *("adlm", "arab", "hebr", "nkoo", "rohg", "syrc", "thaa"),  # scripts, which decide if given
 )
-_PORT = re.compile(r"^(?:\[(.*)\](?::\d+)?|([^:]*):\d+)$")
 
 
 class Site:
@@ -53,6 +50,7 @@ class Site:
 
     Attributes:
         sessions: logged-in researchers, until the server stops.
+        guesses: number of wrong researcher's keys in each minute from each address.
         invitations: recent invitations, ``{name: tokens}``; shown again when the page is reloaded.
     """
 
@@ -60,11 +58,8 @@ class Site:
         self.store, self.server = store, server
         self.flow: Flow[Any, Any] = store.flow
         self.words: Mapping[str, str] = self.flow.words
-        self.keys = Keys(store.secret)
-        self.participant_limit = RateLimit(server.requests_per_second, server.burst)
-        self.visitor_limit = RateLimit(server.visitors_per_second, server.visitor_burst)
-        self.guess_limit = RateLimit(GUESSES / 60, GUESSES)
         self.sessions: set[str] = set()
+        self.guesses: Counter[tuple[int, str]] = Counter()
         self.invitations: dict[str, list[str]] = {}
         # A character takes at most nine bytes, so the page's limit holds in any language.
         questions = (*self.flow.plan.before, *self.flow.plan.asked)
@@ -77,7 +72,7 @@ class Site:
             lstrip_blocks=True,
         )
         self.templates.globals |= list_globals(self.flow)
-        self.templates.globals |= {"root": server.path, "mark": self.keys.mark}
+        self.templates.globals |= {"root": server.path, "mark": store.mark}
         frames = " ".join(server.frames)
         self.headers = HEADERS | {"Content-Security-Policy": POLICY + (frames or "'none'")}
         self.headers |= {} if frames else {"X-Frame-Options": "DENY"}
@@ -87,6 +82,10 @@ class Site:
     def say(self, key: str) -> str:
         """Returns the text of a key; an unknown key is returned unchanged."""
         return self.words.get(key, key)
+
+    def token(self, who: str) -> str:
+        """Makes the token that is in every form of a participant, visitor or researcher."""
+        return self.store.hash_texts("form", who)
 
     def code(self, found: Participant[Any]) -> str:
         """Returns a participant's completion code. The code depends on how participation ended, so
@@ -162,41 +161,17 @@ class Visit:
         """Returns the text of a field; "" if it is missing."""
         return str(self.form.get(name, ""))
 
-    def cookie(self, name: str) -> str:
-        """Returns the value of a cookie; "" if it is missing. The name is unique among servers on
-        this host."""
-        return self.request.cookies.get(f"{name}_{self.site.keys.mark}", "")
-
-    def set_cookie(
-        self, reply: Response, name: str, value: str, same_site: Literal["lax", "strict"] = "lax"
-    ) -> None:
-        """Sets a cookie that scripts cannot read; "" removes it."""
-        server, request = self.site.server, self.request
-        # A browser that bypasses the proxy uses paths without the prefix, and would not return a
-        # cookie for the prefix.
-        below = request.scope["raw_path"].startswith(f"{server.path}/".encode())
-        outside = below or "x-forwarded-prefix" in request.headers
-        reply.set_cookie(
-            f"{name}_{self.site.keys.mark}",
-            value,
-            httponly=True,
-            # In another page's frame a browser sends only cookies with SameSite=None.
-            samesite="none" if server.frames else same_site,
-            secure=server.https or bool(server.frames),
-            path=f"{server.path}/" if outside else "/",
-            max_age=14 * 86400 if value else 0,
-        )
+    @property
+    def session(self) -> dict[str, str]:
+        """The content of the signed cookie: the ids of the browser's ``visitor`` and
+        ``participant``, and of the session of a logged-in ``researcher``."""
+        return self.request.session
 
     @property
-    def owner(self) -> str | None:
-        """The id of the participant in the cookie, if the cookie is genuine."""
-        return self.site.keys.owner(self.cookie(PARTICIPANT))
-
-    @property
-    def researcher(self) -> str | None:
-        """The session of the logged-in researcher."""
-        found = self.site.keys.owner(self.cookie(RESEARCHER), SESSION)
-        return found if found in self.site.sessions else None
+    def researcher(self) -> str:
+        """The session of the logged-in researcher; "" for none."""
+        found = self.session.get("researcher", "")
+        return found if found in self.site.sessions else ""
 
     @property
     def host(self) -> str:
@@ -205,24 +180,24 @@ class Visit:
 
     @property
     def address(self) -> str:
-        """The browser's address without a port, as the first trusted proxy saw it. For IPv6 this is
-        the network's address, because one person has all addresses of a network."""
-        hops = ",".join(self.request.headers.getlist("x-forwarded-for")).split(",")
-        count = min(self.site.server.proxies, len(hops))
-        peer = self.request.client.host if self.request.client else ""
-        found = _PORT.sub(r"\1\2", hops[-count].strip() if count else peer)
-        with suppress(ValueError):
-            return str(ip_network((found, 64 if ":" in found else 32), strict=False))
-        return found
+        """The browser's address. For IPv6 this is the network's address, because one person has all
+        addresses of a network."""
+        found = self.request.client.host if self.request.client else ""
+        return ":".join(found.split(":")[:4])
 
     @property
     def participant(self) -> Participant[Any]:
         """The participant of the cookie."""
-        return self.site.store.participant(self.owner or "")
+        return self.site.store.participant(self.session.get("participant", ""))
 
-    def genuine(self, who: str | None) -> bool:
-        """True if the sent form has the token of this participant or visitor."""
-        return bool(who) and self.site.keys.owns_form(str(who), self.field("token"))
+    def genuine(self, who: str) -> bool:
+        """True if the sent form has the token of this participant, visitor or researcher."""
+        return self.owns(who, self.field("token"))
+
+    def owns(self, who: str, token: str) -> bool:
+        """True if this is the token of this participant, visitor or researcher."""
+        sent, own = (text.encode(errors="replace") for text in (token, self.site.token(who)))
+        return bool(who) and secrets.compare_digest(sent, own)
 
     def page(self, template: str, status: int = 200, **values: Any) -> Response:
         """Renders a page."""
@@ -232,7 +207,7 @@ class Visit:
     def error(self, status: int, text: str) -> Response:
         """Renders a page with an error message; ``text`` is a key of the flow's words, or the
         message itself."""
-        said, known = self.site.say(text), self.owner is not None
+        said, known = self.site.say(text), "participant" in self.session
         return self.page("error.html", status, text=said, number=status, known=known)
 
     def lead(self, path: str) -> Response:
@@ -241,9 +216,8 @@ class Visit:
 
     def let_in(self, who: str) -> Response:
         """Sets the cookie that identifies the browser's participant, and redirects to the study."""
-        reply = self.lead("/study")
-        self.set_cookie(reply, PARTICIPANT, self.site.keys.cookie(who))
-        return reply
+        self.session["participant"] = who
+        return self.lead("/study")
 
 
 async def visit(request: Request) -> Visit:

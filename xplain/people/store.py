@@ -13,7 +13,7 @@ from typing import Any
 from xplain.errors import InputError, Refused, XplainError, one_of
 from xplain.people.export import find_differences
 from xplain.people.flow import STREAMS, Conflict, Flow, Participant, People, State
-from xplain.people.log import OVERWRITTEN, Clock, Log, Unknown, letters
+from xplain.people.log import BRIEF, OVERWRITTEN, Clock, Log, Unknown, letters
 
 MAX_TAB_EVENTS = 5000
 """Maximum number of stored page events of a participant; a study page makes a few dozen."""
@@ -21,7 +21,7 @@ LATEST = 8
 """Number of participants whose events are replayed at a start: enough to detect changed code."""
 
 
-class DataErased(Exception):
+class DataErased(Unknown):
     """The data of this participant was erased."""
 
 
@@ -40,6 +40,8 @@ class Store(Log[Any]):
         super().__init__(path, flow.STATE if flow else State, clock)
         self.flow: Any = flow
         self._signs: dict[str, float] = {}
+        plans = self.events("participant = '' AND kind = 'plan'")
+        self.plan = next((event.payload["plan"] for event in plans), "")
         with ExitStack() as on_error:
             on_error.callback(self.close)
             self.secret = self._read_secret()
@@ -50,8 +52,9 @@ class Store(Log[Any]):
     def _check_plan(self, flow: Flow[Any, Any]) -> None:
         """Stores the plan of a flow, or compares the plan with the stored plan."""
         if not self.plan:
+            self.plan = flow.plan.text
             with self.changes():
-                self.append("", "server", "plan", {"plan": flow.plan.text})
+                self.append("", "server", "plan", {"plan": self.plan})
         if self.plan != flow.plan.text:
             raise InputError(
                 "database", str(self.path), "another file: this database has another plan"
@@ -89,6 +92,17 @@ class Store(Log[Any]):
         can make or reverse the hash without the server's secret."""
         message = "\x1f".join(parts).encode(errors="replace")
         return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
+
+    @property
+    def mark(self) -> str:
+        """A short code that identifies this server in the name of its cookie and in its replies to
+        answers."""
+        return self.hash_texts("mark")[:12]
+
+    @property
+    def researcher_key(self) -> str:
+        """The key for the researcher's page; the same at every start."""
+        return self.hash_texts("researcher")[:32]
 
     def erase_by(self, reference: str) -> None:
         """Erases the data of one participant.
@@ -132,14 +146,11 @@ class Store(Log[Any]):
         """
         key = self.hash_texts("token", token)
         with self.changes():
-            if key not in self.invited or (self.invited[key] == "person" and not persons):
+            made = self.events("participant = '' AND kind IN (?, ?, ?)", *STREAMS)
+            stream = next((one.kind for one in made if key in one.payload["tokens"]), None)
+            if stream is None or (stream == "person" and not persons):
                 raise Unknown
-            who = self.keys.get(key)
-            return (
-                self._resume_participant(who)
-                if who
-                else self._create_participant(self.invited[key], "invitation", key)
-            )
+            return self._enter(stream, "invitation", key)
 
     def enter_from_platform(self, ids: Mapping[str, str], keep: bool) -> str:
         """Returns the participant with a recruiting platform's ids; the first use of the ids
@@ -156,16 +167,14 @@ class Store(Log[Any]):
         """
         person, _, session = (*ids.values(), "", "")[:3]
         key, hashed = self.hash_texts("platform", person), self.hash_texts("session", session)
+        own: dict[str, Any] = {"session": hashed, "kept": {**ids} if keep else {}}
         with self.changes():
-            if (who := self.keys.get(key)) is None:
-                more: dict[str, Any] = {"session": hashed, "kept": {**ids} if keep else {}}
-                return self._create_participant("person", "platform", key, **more)
-            one = self.people[who]
-            if not one.erased and one.identity["session"] != hashed:
+            one = self.participant(self._enter("person", "platform", key, **own))
+            if one.identity["session"] != hashed:
                 if one.state.stage != "consent":
                     raise Unknown
-                self.append(who, "identity", "session", {"session": hashed})
-            return self._resume_participant(who)
+                self.append(one.id, "identity", "session", {"session": hashed})
+            return one.id
 
     def enter_as_pilot(self, cell: int | None = None) -> str:
         """Creates a pilot (a test participant) without an invitation.
@@ -173,30 +182,25 @@ class Store(Log[Any]):
         Args:
             cell: index, in the flow's ``cells``, of the type and condition that a researcher wants
                 to preview; None assigns them as for other participants.
-
-        Raises:
-            Refused: the flow has no such cell.
         """
-        if cell is not None and not 0 <= cell < len(self.flow.cells):
-            raise Refused("not_understood")
         with self.changes():
-            return self._create_participant(
-                "pilot", "open" if cell is None else "preview", cell=cell
-            )
+            return self._enter("pilot", "open" if cell is None else "preview", cell=cell)
 
-    def _create_participant(
+    def _enter(
         self, stream: str, entry: str, key: str = "", cell: int | None = None, **more: Any
     ) -> str:
+        """Returns the id of the participant with a key, or of a new participant."""
+        if key and (who := self.find_owner(key)):
+            self.participant(who)
+            self.append(who, "server", "resume", {})
+            return who
         who, first = letters(14).lower(), self.flow.STATE(cell=cell).text
-        self.append(who, "server", "enter", {"entry": entry, "stream": stream}, state=first)
+        sql = "SELECT count(*) + 1 FROM event WHERE participant > '' AND sequence = 0"
+        (number,) = self._connection.execute(sql).fetchone()
+        arrival = {"entry": entry, "stream": stream, "number": number}
+        self.append(who, "server", "enter", arrival, state=first)
         identity = {"code": letters(8), **({"key": key} if key else {}), **more}
         self.append(who, "identity", "identity", identity)
-        return who
-
-    def _resume_participant(self, who: str) -> str:
-        if self.people[who].erased:
-            raise DataErased
-        self.append(who, "server", "resume", {})
         return who
 
     def pause(self, on: bool) -> None:
@@ -208,21 +212,30 @@ class Store(Log[Any]):
 
     def present(self) -> list[Participant[Any]]:
         """Returns all participants whose data is not erased, in order of arrival."""
-        with self._lock:
-            return [one for one in self.people.values() if not one.erased]
+        return self.everybody(BRIEF)
+
+    @property
+    def paused(self) -> bool:
+        """True if no new participants are admitted."""
+        pauses = self.events("participant = '' AND kind = 'pause'")
+        return [False, *(event.payload["paused"] for event in pauses)][-1]
 
     def participant(self, who: str) -> Participant[Any]:
         """Returns the participant with this id. The call counts as activity.
 
         Raises:
             Unknown: the participant does not exist.
+            DataErased: the participant's data was erased.
         """
-        with self._lock:
-            one = self.people.get(who)
-        if one is None or one.erased:
+        events = tuple(
+            self.events("participant > '' AND participant = ? AND source NOT LIKE 'tab:%'", who)
+        )
+        if not events:
             raise Unknown
+        if events[-1].kind == "erase":
+            raise DataErased
         self._signs[who] = self.clock.monotonic()
-        return one
+        return Participant(who, self.flow.STATE, events)
 
     def show(self, one: Participant[Any], state: State) -> None:
         """Records the first rendering of the page of a participant's state."""
@@ -246,8 +259,11 @@ class Store(Log[Any]):
             Unknown: the participant does not exist.
             Refused: the pages sent too many events.
         """
+        sql = "SELECT count(*) FROM event WHERE participant = ? AND source LIKE 'tab:%'"
+        self.participant(who)
         with self.changes():
-            if self.participant(who).reported + len(items) > MAX_TAB_EVENTS:
+            (reported,) = self._connection.execute(sql, (who,)).fetchone()
+            if reported + len(items) > MAX_TAB_EVENTS:
                 raise Refused("too_much")
             for number, kind, browser, payload in items:
                 self.append(who, f"tab:{tab}", kind, payload, number, browser)
@@ -288,8 +304,8 @@ class Store(Log[Any]):
             if left or (kind == "return" and not state.paused):
                 return state
             if sequence < state.accepted:
-                which = "participant = ? AND source = 'protocol' AND source_sequence = ?"
-                (before,) = self.events(which, who, sequence)
+                answers = (e for e in one.events if e.source == "protocol")
+                before = next(e for e in answers if e.source_sequence == sequence)
                 if before.kind != kind or not payload.items() <= before.payload.items():
                     raise Conflict("other_answer")
                 return state
@@ -301,7 +317,7 @@ class Store(Log[Any]):
                 )
                 if kind == "return":
                     return state
-                one = self.people[who]
+                one = self.participant(who)
             if kind == "consent" and payload.get("agree"):
                 if one.stream == "person" and self.paused:
                     raise Refused("paused")
@@ -321,8 +337,7 @@ class Store(Log[Any]):
         here: State = self.flow.asking(found.state)
         if not 0 <= sequence < here.accepted:
             return here
-        own = self.events("participant = ? AND state IS NOT NULL", found.id)
-        states = (self.flow.STATE.from_text(event.state) for event in own)
+        states = (self.flow.STATE.from_text(e.state) for e in found.events if e.state)
         return next(one for one in states if one.accepted == sequence)
 
     def _accept_answer(
@@ -368,7 +383,7 @@ class Store(Log[Any]):
 
     def _measure_silence(self, one: Participant[Any]) -> float:
         """Measures the seconds without activity."""
-        latest = one.latest
+        latest = one.events[-1]
         # The wall clock is used only across restarts, so a change of it times nobody out.
         clock = "monotonic" if latest.boot == self.clock.boot else "wall"
         silent: float = getattr(self.clock, clock)() - getattr(latest, clock)

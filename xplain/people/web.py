@@ -16,13 +16,14 @@ from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel, Field, ValidationError
 from starlette.datastructures import ImmutableMultiDict
 from starlette.exceptions import HTTPException
+from starlette.middleware.sessions import SessionMiddleware
 
 from xplain.errors import Refused
 from xplain.people.desk import desk
 from xplain.people.flow import Conflict, Full, Participant, State
 from xplain.people.log import Unknown
 from xplain.people.server import LOOPBACK, Server
-from xplain.people.site import VISITOR, Site, Visit, Visiting
+from xplain.people.site import Site, Visit, Visiting
 from xplain.people.store import DataErased, Store
 
 MAX_ITEMS = 50
@@ -32,8 +33,6 @@ LEAST_FREE = 64 << 20
 MARKED = ("/study", "/events")
 """Paths whose replies have the server's mark. A page accepts only marked replies, because other
 replies may come from a proxy."""
-FREE = ("/alive", "/researcher/login")
-"""Paths without a limit of requests; the login has a separate limit of wrong keys."""
 TEXTS = {404: "no_page", 405: "not_here", 413: "too_much"}
 """Keys of the texts for errors that have no text."""
 TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
@@ -46,20 +45,17 @@ pages = APIRouter()
 @pages.api_route("/", methods=["GET", "HEAD"])
 def entrance(visit: Visiting) -> Response:
     """Shows the page that invitations and links of recruiting platforms open. Stores nothing."""
-    visitor, site, given = visit.cookie(VISITOR), visit.site, visit.request.query_params
-    if not (len(visitor) == 32 and visitor.isascii() and visitor.isalnum()):
-        visitor = secrets.token_hex(16)
+    site, given = visit.site, visit.request.query_params
+    visitor = visit.session.setdefault("visitor", secrets.token_hex(16))
     names = (*site.server.id_names, site.server.signed_name)
     ids = {key: given[key][:4000] for key in names if given.get(key)}
-    reply = visit.page(
+    return visit.page(
         "entrance.html",
-        token=site.keys.form(visitor),
+        token=site.token(visitor),
         invitation=given.get("invitation", "")[:100],
         ids=ids if site.server.from_platform else {},
         entry=site.server.entry,
     )
-    visit.set_cookie(reply, VISITOR, visitor)
-    return reply
 
 
 @pages.post("/enter")
@@ -70,7 +66,7 @@ def enter(visit: Visiting) -> Response:
         HTTPException: the person is not invited or was erased, the form is not from this browser,
             or the plan's texts are not ready.
     """
-    visitor, server, store = visit.cookie(VISITOR), visit.site.server, visit.site.store
+    visitor, server, store = visit.session.get("visitor"), visit.site.server, visit.site.store
     if not visitor:
         raise HTTPException(403, "no_cookies")
     here = visit.host in LOOPBACK
@@ -92,10 +88,10 @@ def enter(visit: Visiting) -> Response:
             who = store.enter_as_pilot()
         else:
             raise Unknown
-    except Unknown:
-        raise HTTPException(403, "not_invited") from None
     except DataErased:
         raise HTTPException(410, "erased") from None
+    except Unknown:
+        raise HTTPException(403, "not_invited") from None
     return visit.let_in(who)
 
 
@@ -129,7 +125,7 @@ def page_of(
         within=site.flow.part(state.stage),
         stream=found.stream,
         typed=visit.form if kept else ImmutableMultiDict(),
-        token=site.keys.form(found.id),
+        token=site.token(found.id),
         problem=site.say(problem),
         reference="-".join(re.findall(".{4}", site.store.reference(found.id))),
     )
@@ -214,7 +210,7 @@ def events(visit: Visiting) -> Response:
     found, site = visit.participant, visit.site
     try:
         report = Report.model_validate_json(visit.body)
-        if not site.keys.owns_form(found.id, report.token):
+        if not visit.owns(found.id, report.token):
             return JSONResponse({"error": "not yours"}, 403)
         items = [(i.n, str(i.kind), i.ms, {"at": i.at, "what": i.what}) for i in report.items]
         if found.state.stage != "declined":
@@ -255,30 +251,39 @@ def create_app(store: Store, server: Server) -> FastAPI:
     def unknown(request: Request, error: Unknown) -> Response:
         return Visit(site, request).error(403, "no_invitation")
 
+    @app.exception_handler(Refused)
+    def not_accepted(request: Request, error: Refused) -> Response:
+        return Visit(site, request).error(400, str(error))
+
     @app.middleware("http")
     async def guard(request: Request, go_on: Callable[[Request], Awaitable[Response]]) -> Response:
-        """Applies limits and headers. After an error, logs the traceback and returns a page."""
+        """Applies headers. After an error, logs the traceback and returns a page."""
         came, path = Visit(site, request), request.scope["path"].removeprefix(server.path)
         path = path.rstrip("/") or "/"
-        fixed, who = path.startswith("/static/"), came.owner or came.researcher
-        limit = site.participant_limit if who else site.visitor_limit
+        fixed = path.startswith("/static/")
         # A proxy in front may or may not remove the path of the address.
         request.scope.update(root_path=server.path, path=f"{server.path}{path}")
         try:
-            if path in FREE or fixed or limit.allows(who or came.address):
-                reply = await go_on(request)
-            else:
-                reply = came.error(429, "too_fast")
-                reply.headers["Retry-After"] = "5"
+            reply = await go_on(request)
         except Exception:
             log.exception("request failed")
             reply = came.error(500, "failed")
         reply.headers.update(site.headers)
-        if path in MARKED and reply.status_code not in (429, 500):
-            reply.headers["Study-Mark"] = site.keys.mark
+        if path in MARKED and reply.status_code != 500:
+            reply.headers["Study-Mark"] = store.mark
         # Browsers never cache pages: back and reload ask the server again.
         kept = fixed and reply.status_code == 200
         reply.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
         return reply
 
+    framed = bool(server.frames)
+    app.add_middleware(
+        SessionMiddleware,
+        secret_key=store.hash_texts("session"),
+        session_cookie=f"study_{store.mark}",
+        path=f"{server.path}/",
+        # In another page's frame a browser sends only cookies with SameSite=None.
+        same_site="none" if framed else "lax",
+        https_only=server.https or framed,
+    )
     return app

@@ -22,7 +22,6 @@ from tests.people.visitors import (
     pages,
     query,
 )
-from xplain.people.server import Keys
 from xplain.people.store import Store
 from xplain.people.web import create_app
 
@@ -82,7 +81,7 @@ class Fuzzer:
     Args:
         rng: its stream.
         cookies: cookies of the attacker's own participants, with their forms' tokens.
-        mark: a text in the cookies' names.
+        mark: a text in the cookie's name.
     """
 
     def __init__(self, rng: np.random.Generator, cookies: list[tuple[str, str]], mark: str) -> None:
@@ -148,8 +147,7 @@ class Fuzzer:
         query = quote(self.value(), errors="replace") if self.rng.random() < 0.4 else ""
         headers = {"Content-Type": kind} if kind else {}
         held = self.pick((cookie, cookie, cookie, cookie[:-1] + "0", "x", cookie.split(".")[0]))
-        own = {"participant": held, "visitor": "a" * 32, "researcher": "0"}
-        headers["Cookie"] = "; ".join(f"{name}_{self.mark}={own[name]}" for name in own)
+        headers["Cookie"] = f"study_{self.mark}={held}"
         if self.rng.random() < 0.1:
             headers["X-Forwarded-For"] = self.pick(("127.0.0.1", "x" * 300, "1.1.1.1, 2.2.2.2"))
         return method, path + (f"?{query}={query}" if query else ""), headers, body
@@ -157,10 +155,11 @@ class Fuzzer:
 
 def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
     """Makes participants at every stage; half of them are the attacker's."""
-    keys, owned, others = Keys(store.secret), [], []
+    owned, others = [], []
     for number in range(20):
         (invitation,) = store.invite(1, "bot")
-        way = pages(newcomer(store), bot_of(store.flow, number), invitation)
+        visitor = newcomer(store)
+        way = pages(visitor, bot_of(store.flow, number), invitation)
         for index, (_, page) in enumerate(way):
             if index >= number // 2 or not page.hidden:
                 break
@@ -168,7 +167,8 @@ def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
         if number % 2:
             others.append(who)
         else:
-            owned.append((keys.cookie(who), keys.form(who)))
+            cookie, _ = visitor.client.cookies[f"study_{store.mark}"]
+            owned.append((cookie, store.hash_texts("form", who)))
     return owned, others
 
 
@@ -181,7 +181,7 @@ def attack(store: Store, send: Send, count: int, seed: int) -> Counter[int]:
     """Sends requests, and counts the answers by status. Checks that nobody else's data changed,
     that the file is valid, and that every answer was allowed."""
     cookies, others = prey(store)
-    fuzzer = Fuzzer(np.random.default_rng(seed), cookies, Keys(store.secret).mark)
+    fuzzer = Fuzzer(np.random.default_rng(seed), cookies, store.mark)
     before, statuses = records(store, others), Counter[int]()
     for _ in range(count):
         request = fuzzer.request()

@@ -198,7 +198,7 @@ def test_of_the_erased_nothing_stays_in_memory(opened: Opened) -> None:
     known = {id(one) for one in earlier}
     take_part(store, [bot_of(store.flow, 0, number) for number in range(2)])
     glance(store.flow, store.present())
-    (text, reference), kept = ((one.text, store.reference(one.id)) for one in store.present())
+    (text, reference), kept = ((one.state.text, store.reference(one.id)) for one in store.present())
 
     def remembered() -> set[str]:
         gc.collect()
@@ -212,10 +212,10 @@ def test_of_the_erased_nothing_stays_in_memory(opened: Opened) -> None:
             *({"types"} if any(isinstance(one, KnownSoFar) for one in new) else ()),
         }
 
-    assert remembered() == {"state", "types"}
+    assert remembered() == {"types"}
     store.erase_by(reference)
     assert remembered() == set()
-    assert [(one.text, store.reference(one.id)) for one in store.present()] == [kept]
+    assert [(one.state.text, store.reference(one.id)) for one in store.present()] == [kept]
 
 
 def test_a_clip_shows_just_what_is_told_there(opened: Opened) -> None:

@@ -21,7 +21,6 @@ from tests.people.visitors import (
 from xplain.errors import Refused
 from xplain.people.bots import Page
 from xplain.people.log import Clock, Unknown
-from xplain.people.server import Keys
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.runs.labels import sentences_of
@@ -32,10 +31,9 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
     for path in ("/researcher/invitations", "/researcher/export"):
         assert client.post(path, data={"count": "1", "stream": "bot"}).status_code == 403
     assert client.post("/researcher/login", data={"key": "guess"}).status_code == 403
-    keys = Keys(store.secret)
-    done = client.post("/researcher/login", data={"key": keys.researcher})
+    done = client.post("/researcher/login", data={"key": store.researcher_key})
     assert done.status_code == 303
-    assert "SameSite=strict" in done.headers["Set-Cookie"]
+    assert "samesite=lax" in done.headers["Set-Cookie"]
     first = done.headers["Set-Cookie"]
     html = client.get("/researcher").text
     assert "Overview of the study" in html
@@ -51,23 +49,24 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
     assert len(tokens) == 3
     # A reload shows them again and makes no others.
     assert re.findall(r"\?invitation=([\w-]+)", client.get(made.headers["Location"]).text) == tokens
-    assert len(store.invited) == 3
+    (tokens_made,) = (event.payload["tokens"] for event in store.events("kind = 'pilot'"))
+    assert len(tokens_made) == 3
     assert store.participant(store.enter_invited(tokens[0])).stream == "pilot"
     archive = client.post("/researcher/export", data={"token": token})
     assert archive.data[:2] == b"PK"
     # Each login has a cookie of its own, and the end of a session ends it.
-    again = client.post("/researcher/login", data={"key": keys.researcher})
+    again = client.post("/researcher/login", data={"key": store.researcher_key})
     assert again.headers["Set-Cookie"] != first
     token = Page.of_html(client.get("/researcher").text).hidden["token"]
-    held, _ = client.cookies[f"researcher_{Keys(store.secret).mark}"]
+    held, _ = client.cookies[f"study_{store.mark}"]
     assert client.post("/researcher/logout", data={"token": token}).status_code == 303
-    client.set_cookie(f"researcher_{Keys(store.secret).mark}", held)
+    client.set_cookie(f"study_{store.mark}", held)
     assert "Overview of the study" not in client.get("/researcher").text
 
 
 def overview(client: Client, store: Store) -> str:
     """Returns the page of a researcher who has logged in."""
-    client.post("/researcher/login", data={"key": Keys(store.secret).researcher})
+    client.post("/researcher/login", data={"key": store.researcher_key})
     return client.get("/researcher").text
 
 
@@ -106,7 +105,7 @@ def test_any_type_and_condition_can_be_looked_at(store: Store, browser: Visitor)
         token = logged_in(client, store)
         done = client.post("/researcher/preview", data={"token": token, "cell": str(cell)})
         assert done.status_code == 303
-        who = [*store.people][-1]
+        who = store.present()[-1].id
         state = consent(store, who)
         assert (state.user_type, state.condition) == (user_type, condition)
         assert store.participant(who).stream == "pilot"

@@ -413,7 +413,7 @@ def test_of_who_declines_the_decision_alone_is_kept(store: Store) -> None:
     kept = whole(store)
     for told in ("unique-person-id", "seen-by-them", "4321"):
         assert told not in kept
-    assert [*store.people[who].identity] == ["code"]
+    assert [*store.participant(who).identity] == ["code"]
     kinds = [event.kind for event in store.events("participant = ?", who)]
     assert kinds == ["enter", "identity", "erased", "erased", "consent"]
     assert differences(store) == []

@@ -34,8 +34,7 @@ from xplain.people.flow import (
     Practice,
     QuestionStage,
     Stage,
-    choices,
-    small,
+    pick,
 )
 from xplain.people.plan import Way
 from xplain.questions.questionnaire import Questionnaire
@@ -77,18 +76,18 @@ class ClipStage(Stage["Collection", CollectState]):
 
     def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
         """Reads a label for each step."""
-        steps = range(state.clip.size if state.clip else 0)
-        return {"labels": [small(form.get(f"label_{i}")) for i in steps]}
+        assert state.clip is not None, "a clip is on the page"
+        sent = [form.get(f"label_{i}") for i in range(state.clip.size)]
+        missing = flow.words["label_missing"]
+        return {"labels": [pick(label, CANNOT_TELL + 1, missing) for label in sent]}
 
     def advance(
         self, flow: Collection, state: CollectState, payload: Mapping[str, Any]
     ) -> CollectState:
         """Moves to the next clip, or to the next stage after the last clip."""
-        clip = state.clip
-        assert clip is not None, "a clip is on the page"
-        answers = CANNOT_TELL + 1
-        chosen = choices(payload.get("labels"), [answers] * clip.size, flow.words["label_missing"])
-        state = replace(state, answered=(*state.answered, replace(clip, labels=chosen)), clip=None)
+        assert state.clip is not None, "a clip is on the page"
+        clip = replace(state.clip, labels=tuple(payload["labels"]))
+        state = replace(state, answered=(*state.answered, clip), clip=None)
         return self._choose_next(flow, state)
 
     def _choose_next(self, flow: Collection, state: CollectState) -> CollectState:
@@ -112,19 +111,15 @@ class BeliefStage(Stage["Collection", CollectState]):
         return flow.briefing(state) | {"statements": statements(flow.plan, state.number)}
 
     def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
-        """Reads the participant's statement about each fact: the statement's index in STATED, or
-        None if the form has no valid statement."""
-        facts = range(len(flow.plan.facts))
-        return {"stated": [small(form.get(f"fact_{j}")) for j in facts]}
+        """Reads the participant's statement about each fact: the statement's index in STATED."""
+        sent = [form.get(f"fact_{j}") for j in range(len(flow.plan.facts))]
+        return {"stated": [pick(one, len(STATED), flow.words["answer_all"]) for one in sent]}
 
     def advance(
         self, flow: Collection, state: CollectState, payload: Mapping[str, Any]
     ) -> CollectState:
-        """Moves on after all facts are answered."""
-        counts = [len(STATED)] * len(flow.plan.facts)
-        return flow.after(
-            state, stated=choices(payload.get("stated"), counts, flow.words["answer_all"])
-        )
+        """Moves on with the statements."""
+        return flow.after(state, stated=tuple(payload["stated"]))
 
 
 @dataclass(frozen=True)

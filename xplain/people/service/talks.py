@@ -164,7 +164,7 @@ class Talks(Log[State]):
         who = person or f"p{secrets.token_hex(8)}"
         begun = {**request, "person": who, "seed": derive_seed(self.task.seed, kind, who)}
         with self.changes():
-            which = self.keys.get(f"{kind} {who}", f"{kind[0]}{secrets.token_hex(12)}")
+            which = self.find_owner(f"{kind} {who}") or f"{kind[0]}{secrets.token_hex(12)}"
             return which, self.receive(kind, which, "begin", begun)
 
     def receive(self, kind: str, which: str, key: str, came: Json) -> Json:
@@ -231,10 +231,11 @@ class Talks(Log[State]):
             Unknown: the questionnaire does not exist.
         """
         with self._lock:
-            own = [one for one in self.keys.values() if one[0] == "q" and which in (None, one)]
-            if which and not own:
+            every = self.group_events("source = 'protocol' AND substr(participant, 1, 1) = 'q'")
+            if which and which not in every:
                 raise Unknown
-            return [row for one in own for row in self._list_labels([*self.events(OWN, one)])]
+            own = [every[which]] if which else every.values()
+            return [row for events in own for row in self._list_labels(events)]
 
     def _list_labels(self, events: list[Event]) -> list[Json]:
         known = self.task.questionnaire.hypotheses
@@ -268,14 +269,14 @@ class Talks(Log[State]):
         Raises:
             Unknown: the talk does not exist.
         """
-        if which not in self.people or self.people[which].erased or which[0] != kind[0]:
-            raise Unknown
-        talk = self._open.pop(which, None)
+        talk = self._open.pop(which, None) if which[0] == kind[0] else None
         if talk is None:
-            first, *later = self.events(OWN, which)
-            talk = KINDS[kind](self.task, first.payload)
-            for event in (first, *later):
-                if event is not first:
+            events = [*self.events(f"{OWN} AND substr(participant, 1, 1) = ?", which, kind[0])]
+            if not events:
+                raise Unknown
+            talk = KINDS[kind](self.task, events[0].payload)
+            for event in events:
+                if event is not events[0]:
                     talk.receive(event.kind, event.payload)
                 decided = json.loads(str(event.state))
                 if decided != talk.decided:

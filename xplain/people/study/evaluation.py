@@ -22,7 +22,7 @@ from xplain.interaction.dialogue import (
     StepLabelled,
 )
 from xplain.people import flow as core
-from xplain.people.flow import CANNOT_TELL, Flow, Form, OneLabel, Stage, choices, small
+from xplain.people.flow import CANNOT_TELL, Flow, Form, OneLabel, Stage, pick
 from xplain.people.study.plan import StudyPlan, StudyRole
 from xplain.solvers.base import CachedPolicy, messages_of
 
@@ -232,18 +232,16 @@ class Evaluation(Stage["ExplanationFlow", StudyState]):
 
     def read(self, flow: ExplanationFlow, state: StudyState, form: Form) -> dict[str, Any]:
         """Reads the labels; an earlier label that is not sent again keeps its value."""
-        kept = [*state.labels[: state.step], None]
-        sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
-        pairs = zip(sent, kept, strict=True)
-        return {"labels": [old if label is None else label for label, old in pairs]}
+        kept = [*map(str, state.labels[: state.step]), ""]
+        sent = [form.get(f"label_{i}", old) for i, old in enumerate(kept)]
+        missing = flow.words["label_missing"]
+        return {"labels": [pick(label, CANNOT_TELL + 1, missing) for label in sent]}
 
     def advance(
         self, flow: ExplanationFlow, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
         """Moves to the next step, or to the next stage after the last step."""
-        count = [CANNOT_TELL + 1] * (state.step + 1)
-        chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
-        talk = flow.talk(state)
+        talk, chosen = flow.talk(state), tuple(payload["labels"])
         talk.hear(StepLabelled(chosen))
         belief = tuple(talk.state.belief.tolist())
         state = replace(
@@ -276,7 +274,7 @@ class ClipQuestion(OneLabel["ExplanationFlow", StudyState]):
     ) -> StudyState:
         """Moves to another question, or to the next step. The answer "I cannot tell" is no
         evidence."""
-        label, talk = self.label(flow, payload), flow.talk(state)
+        label, talk = payload["label"], flow.talk(state)
         if label != CANNOT_TELL:
             talk.hear(AskQuestion(state.asked[-1].question), QuestionAnswered(label))
         belief = tuple(talk.state.belief.tolist())

@@ -18,7 +18,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from xplain.errors import Refused
 from xplain.explanation.label_table import LabelTable, join_steps
 from xplain.interaction.episode import Episode, explain
 from xplain.interaction.explainees import SimulatedUser
@@ -33,9 +32,7 @@ from xplain.people.flow import (
     Practice,
     QuestionStage,
     Stage,
-    choice,
-    choices,
-    small,
+    pick,
 )
 from xplain.people.plan import Way
 from xplain.people.study.evaluation import (
@@ -100,16 +97,15 @@ class Eligibility(Stage["Study", StudyState]):
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
         """Reads the answers in the plan's order."""
-        count = len(flow.role(state).eligibility)
-        return {"answers": [small(form.get(f"q{i}")) for i in range(count)]}
+        counts = [len(question.options) for question in flow.role(state).eligibility]
+        missing = flow.words["answer_all"]
+        return {"answers": [pick(form.get(f"q{i}"), n, missing) for i, n in enumerate(counts)]}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
         """Moves on if all answers are right; otherwise back to the briefing, or to the end."""
-        questions = flow.role(state).eligibility
-        counts = [len(question.options) for question in questions]
-        chosen = choices(payload.get("answers"), counts, flow.words["answer_all"])
+        right = [question.answer for question in flow.role(state).eligibility]
         attempts = state.attempts + 1
-        if chosen == tuple(question.answer for question in questions):
+        if payload["answers"] == right:
             return flow.after(state, attempts=attempts)
         if attempts >= flow.plan.rules.max_attempts:
             return state.to(stage="ineligible", attempts=attempts)
@@ -128,16 +124,13 @@ class Quiz(Stage["Study", StudyState]):
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
         """Reads the ticked statements."""
-        return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
+        count, wrong = len(flow.role(state).quiz), flow.words["quiz_missing"]
+        return {"chosen": [pick(text, count, wrong) for text in form.getlist("true")]}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
         """Stores the score: one point for each statement that the participant judged correctly."""
-        statements, chosen = flow.role(state).quiz, payload.get("chosen")
-        missing = flow.words["quiz_missing"]
-        if not isinstance(chosen, list) or len(chosen) > len(statements):
-            raise Refused(missing)
-        ticked = {choice(c, len(statements), missing) for c in chosen}
-        score = sum(statement.true == (i in ticked) for i, statement in enumerate(statements))
+        judged = enumerate(flow.role(state).quiz)
+        score = sum(statement.true == (i in payload["chosen"]) for i, statement in judged)
         return flow.after(state, score=score)
 
 
