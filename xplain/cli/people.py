@@ -339,25 +339,23 @@ def replay(name: str, database: Path) -> None:
         sys.exit(1)
 
 
-@_register_both(
-    "habits", "how participants listened and answered", "how people listened and answered"
-)
+@command("collect habits", "how people listened and answered")
 @click.argument("database", type=FILE)
 @click.option("--stream", default="person")
-def habits(name: str, database: Path, stream: str) -> None:
+def habits(database: Path, stream: str) -> None:
     """Learns from the log how often people err, accept messages and forget them. Prints the rates
     as keys for a study or an experiment.
 
-        xplain NAME habits DATABASE [--stream person]
+        xplain collect habits DATABASE [--stream person]
 
     No server may have the database open (a snapshot also works); ``--stream`` is person, pilot or
-    bot. The rates of a study are more exact if messages are repeated, as with belief.accept and
-    belief.forget. A collection must be started with ``rules.listening``; its rate of forgetting is
-    per page, the rate of a study is per step.
+    bot. The collection must be started with ``rules.listening``; its rate of forgetting is per
+    page.
     """
     from xplain.explanation.listening import learn_habits
+    from xplain.people.collect.tables import listeners_in
 
-    listeners = import_module(f"xplain.people.{name}.tables").listeners_in(database, stream)
+    listeners = listeners_in(database, stream)
     found = learn_habits(listeners)
     print(f"{len(listeners)} participants: rates, and how many people have them")
     for key in ("error", "accept", "forget"):

@@ -449,20 +449,14 @@ class Practice(OneLabel[F, S]):
         return state.to(part=int(right or state.part), wrong=not right)
 
 
-class LookingAhead(OneLabel[F, S]):
-    """A step that looks wrong, but is right because of later steps. The later steps are shown after
-    any answer except 1."""
+class LookingAhead(Practice[F, S]):
+    """A step that looks wrong, but is right because of later steps. It follows the second half of
+    the practice, so the right label is 1, too. The later steps are shown after another label."""
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
         """Shows the step, and after a wrong answer the later steps too."""
         steps = flow.plan.ahead.steps
         return {"action": steps[0], "later": steps[1:] if state.wrong else ()}
-
-    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """Moves on once the step makes sense to the participant."""
-        if payload["label"] == 1:
-            return flow.after(state, wrong=False)
-        return state.to(wrong=True)
 
 
 @dataclass(frozen=True)

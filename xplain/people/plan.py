@@ -148,9 +148,8 @@ class LabQuestion:
     @property
     def options(self) -> tuple[str, ...]:
         """The possible answers of a choice or a scale."""
-        if self.kind == "scale":
-            return tuple(str(point) for point in range(self.low, self.high + 1))
-        return self.choices
+        points = map(str, range(self.low, self.high + 1))
+        return tuple(points) if self.kind == "scale" else self.choices
 
     @property
     def needed(self) -> bool:
@@ -165,12 +164,11 @@ class LabQuestion:
     @property
     def attributes(self) -> dict[str, str | int]:
         """HTML attributes of the question's field."""
-        found: dict[str, str | int] = {"required": "required"} if self.needed else {}
-        if self.kind == "number":
-            found |= {"type": "number", "min": self.low, "max": self.high}
-        elif self.kind == "text":
-            found |= {"maxlength": self.max_length}
-        return found
+        own: dict[str, dict[str, str | int]] = {
+            "number": {"type": "number", "min": self.low, "max": self.high},
+            "text": {"maxlength": self.max_length},
+        }
+        return ({"required": "required"} if self.needed else {}) | own.get(self.kind, {})
 
     def read(self, text: str, words: Mapping[str, str]) -> str:
         """Reads an answer: no surrounding blanks, lines end in a line feed, whole numbers have no

@@ -1,7 +1,6 @@
 """The classes that all pages of a study or a collection use: :class:`Site`, the flow with its
 store, and :class:`Visit`, a request with its responses."""
 
-import hashlib
 import re
 import secrets
 from collections import Counter
@@ -39,6 +38,8 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=(), interest-cohort=()",
 }
+DIGITS = str.maketrans("0123456789abcdef", LETTERS[:16])
+"""Makes letters of a code from the digits of a hash."""
 RIGHT_TO_LEFT = (
     *("ar", "arc", "ckb", "dv", "fa", "he", "iw", "ks", "nqo", "ps", "sd", "syr", "ug", "ur", "yi"),
     *("adlm", "arab", "hebr", "nkoo", "rohg", "syrc", "thaa"),  # scripts, which decide if given
@@ -90,12 +91,13 @@ class Site:
     def code(self, found: Participant[Any]) -> str:
         """Returns a participant's completion code. The code depends on how participation ended, so
         only people who finished have the code for finishing."""
-        stage, own = found.state.stage, found.identity["code"]
-        configured = self.server.codes.get(stage, "")
-        if stage == "done":
-            return configured or self.server.completion_code or own
-        digest = hashlib.sha256(f"{own} {stage}".encode()).digest()
-        return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
+        stage, digits = (
+            found.state.stage,
+            self.store.hash_texts("code", found.id, found.state.stage),
+        )
+        own = {"done": found.identity["code"]}.get(stage, digits[:8].translate(DIGITS))
+        codes: Mapping[str, str] = {"done": self.server.completion_code} | {**self.server.codes}
+        return codes.get(stage) or own
 
     def back(self, found: Participant[Any], code: str) -> str:
         """Returns the address that a participant's last page links to; "" if none is configured."""

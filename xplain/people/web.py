@@ -30,9 +30,6 @@ MAX_ITEMS = 50
 """Maximum number of events in a page's report."""
 LEAST_FREE = 64 << 20
 """Minimum of free bytes on the disk; with fewer bytes the server reports an error."""
-MARKED = ("/study", "/events")
-"""Paths whose replies have the server's mark. A page accepts only marked replies, because other
-replies may come from a proxy."""
 TEXTS = {404: "no_page", 405: "not_here", 413: "too_much"}
 """Keys of the texts for errors that have no text."""
 TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
@@ -265,12 +262,12 @@ def create_app(store: Store, server: Server) -> FastAPI:
         request.scope.update(root_path=server.path, path=f"{server.path}{path}")
         try:
             reply = await go_on(request)
+            # A page accepts only marked replies, because other replies may come from a proxy.
+            reply.headers["Study-Mark"] = store.mark
         except Exception:
             log.exception("request failed")
             reply = came.error(500, "failed")
         reply.headers.update(site.headers)
-        if path in MARKED and reply.status_code != 500:
-            reply.headers["Study-Mark"] = store.mark
         # Browsers never cache pages: back and reload ask the server again.
         kept = fixed and reply.status_code == 200
         reply.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"

@@ -4,7 +4,6 @@ study is the study that runs."""
 
 from __future__ import annotations
 
-import csv
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -73,13 +72,21 @@ class Analysis:
 
 
 @cache
-def paper_table() -> dict[str, dict[str, float]]:
-    """Reads the paper's Table 2: {measure: {conformant, personalized, p_value, n_per_arm}}."""
-    text = files("xplain.people.study").joinpath("paper_table2.csv").read_text(encoding="utf-8")
-    return {
-        row["measure"]: {key: float(v) for key, v in row.items() if key != "measure"}
-        for row in csv.DictReader(text.splitlines())
-    }
+def paper_table() -> pd.DataFrame:
+    """Reads the paper's Table 2: a row for each measure, with the columns conformant, personalized,
+    p_value and n_per_arm."""
+    with files("xplain.people.study").joinpath("paper_table2.csv").open() as file:
+        return pd.read_csv(file, index_col="measure").astype(float)
+
+
+def _read_table(key: str, path: Path, columns: Sequence[str]) -> pd.DataFrame:
+    wanted = f"a CSV file with the columns {', '.join(columns)}"
+    if not path.is_file():
+        raise InputError(key, str(path), wanted)
+    table = pd.read_csv(path, encoding="utf-8-sig")
+    if missing := [column for column in columns if column not in table]:
+        raise InputError(key, str(path), f"{wanted}; it lacks the column {missing[0]}")
+    return table
 
 
 def read(folder: Path) -> pd.DataFrame:
@@ -88,31 +95,19 @@ def read(folder: Path) -> pd.DataFrame:
     Raises:
         InputError: the table or a column is missing.
     """
-    path = folder / "participants.csv"
-    if not path.is_file():
-        raise InputError("data", str(folder), "a folder with participants.csv, as exported")
-    data = pd.read_csv(path)
-    for column in NEEDED:
-        if column not in data.columns:
-            raise InputError("data", str(path), f"lacks the column {column}")
-    return data
+    return _read_table("data", folder / "participants.csv", NEEDED)
 
 
 def exclusions(path: Path | None) -> dict[str, str]:
     """Reads {participant: reason} from a CSV with these two columns.
 
     Raises:
-        InputError: the file is missing, or has other columns.
+        InputError: the file or a column is missing.
     """
     if path is None:
         return {}
-    if not path.is_file():
-        raise InputError("exclude", str(path), "a CSV file with the columns participant, reason")
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = csv.DictReader(file)
-        if set(rows.fieldnames or ()) != {"participant", "reason"}:
-            raise InputError("exclude", rows.fieldnames, "the columns participant, reason")
-        return {row["participant"]: row["reason"] for row in rows}
+    table = _read_table("exclude", path, ("participant", "reason"))
+    return dict(zip(table["participant"], table["reason"].astype(str), strict=True))
 
 
 def analyse_all(
@@ -177,7 +172,7 @@ def analyse(
     adjusted = pd.Series(holm(measures.loc[[*MEASURES], "student_p"]), [*MEASURES])
     measures.insert([*measures.columns].index("hedges_g"), "student_p_holm", adjusted)
     if conditions == CONDITIONS:
-        measures = measures.join(pd.DataFrame(paper_table()).T.add_prefix("paper_"))
+        measures = measures.join(paper_table().add_prefix("paper_"))
     left_out = {f"excluded: {one}": reasons == one for one in dict.fromkeys(reasons.dropna())}
     if kept["interaction_time_s"].isna().any():
         left_out["time left out: the clock was set back"] = kept["interaction_time_s"].isna()

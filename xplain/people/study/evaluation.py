@@ -5,7 +5,7 @@ The explanation is the :class:`~xplain.interaction.dialogue.Dialogue` of the off
 restored for each page.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -70,6 +70,7 @@ class StudyState(core.State):
         given: bitmask of all messages on the page, including new messages.
         new: bitmask of the messages given at step k.
         previous: bitmask of the messages on the page at step k − 1; None at the first step.
+        known: True for each transition of the trace whose label is known since the last message.
         belief: belief over hidden states.
         labels: latest labels of the transitions 0 … k − 1.
         heard: indices of the given messages, in the order in which they were given; a repeated
@@ -94,6 +95,7 @@ class StudyState(core.State):
     given: int = 0
     new: int = 0
     previous: int | None = None
+    known: tuple[bool, ...] = ()
     belief: tuple[float, ...] = ()
     labels: tuple[int, ...] = ()
     score: int | None = None
@@ -143,28 +145,19 @@ class ExplanationFlow(Flow[StudyPlan, StudyState]):
     def talk(self, state: StudyState) -> Dialogue:
         """Returns the dialogue as it was when this page of the evaluation was shown."""
         condition = state.condition or ""
-        problem = self.plan.problem_of(condition)
-        # After a message, or if people may forget, a repeated question is a new question.
-        forgets = bool(problem.habits.forget.any())
-        same = [
-            one.question
-            for one in state.asked
-            if one.told == len(state.heard) and (one.step == state.step or not forgets)
-            if one.answer is not None
-        ]
-        asked = bitmask(one.question for one in state.asked)
-        repeats = state.previous is not None and not state.new and not forgets
-        labelled = np.arange(problem.n_steps) < (state.step if repeats else 0)
-        known = labelled | problem.questions.shows[same].any(axis=0)
-        talk = Dialogue(problem, self.policies[condition], self.belief)
-        visible = VisibleState(state.step, state.given, asked)
-        talk.state = DialogueState(visible, np.array(state.belief), known)
+        talk = Dialogue(self.plan.problem_of(condition), self.policies[condition], self.belief)
+        if state.belief:
+            asked = bitmask(one.question for one in state.asked)
+            visible = VisibleState(state.step, state.given, asked)
+            belief, known = np.array(state.belief), np.array(state.known, np.bool_)
+            talk.state = DialogueState(visible, belief, known)
         return talk
 
     def next_step(self, state: StudyState) -> StudyState:
         """Returns the state at the policy's question, if the policy asks before the next step;
         otherwise the state at the next step, with the policy's messages."""
-        talk, belief = self.talk(state), self.of_types(state.belief)
+        talk = self.talk(state)
+        belief = self.of_types(talk)
         action, values = talk.decide(), talk.values()
         said = {
             messages_of(one): float(value)
@@ -175,7 +168,7 @@ class ExplanationFlow(Flow[StudyPlan, StudyState]):
             best = max(said.values(), default=0.0)
             worth = float(values[action]) - best if action in values else None
             one = AskedQuestion(state.step, action.question, len(state.heard), worth, belief)
-            return state.to(stage="asking", asked=(*state.asked, one))
+            return state.to(stage="asking", asked=(*state.asked, one), **keep(talk))
         new = messages_of(action)
         talk.hear(action)
         shown = {str(int(mask)): value for mask, value in said.items()}
@@ -184,15 +177,15 @@ class ExplanationFlow(Flow[StudyPlan, StudyState]):
             given=talk.state.visible.given,
             new=new,
             heard=(*state.heard, *indices(new)),
-            belief=tuple(talk.state.belief.tolist()),
             before=belief,
+            **keep(talk),
             values=shown,
         )
 
-    def of_types(self, belief: Sequence[float]) -> tuple[float, ...]:
+    def of_types(self, talk: Dialogue) -> tuple[float, ...]:
         """Returns the belief over user types, for the log: the belief over hidden states, summed
         over habits and knowledge."""
-        return tuple(self.plan.problem.type_belief(np.array(belief)).tolist())
+        return tuple(self.plan.problem.type_belief(talk.state.belief).tolist())
 
     def collect_content(self, state: StudyState) -> dict[str, Any]:
         """Collects the content that every page of the evaluation has: the briefing, the old
@@ -211,14 +204,20 @@ class ExplanationFlow(Flow[StudyPlan, StudyState]):
         }
 
 
+def keep(talk: Dialogue) -> dict[str, Any]:
+    """Returns the fields of the state from which :meth:`ExplanationFlow.talk` restores a dialogue,
+    except those that pages show."""
+    belief, known = talk.state.belief, talk.state.known
+    return {"belief": tuple(belief.tolist()), "known": tuple(known.tolist())}
+
+
 class Evaluation(Stage["ExplanationFlow", StudyState]):
     """The robot's steps, one after the other, with the policy's messages."""
 
     def enter(self, flow: ExplanationFlow, state: StudyState) -> StudyState:
         """Returns the state of the first page: the policy's first decision from the initial
         belief."""
-        belief = tuple(flow.plan.problem_of(state.condition or "").start.tolist())
-        return flow.next_step(replace(state, wrong=False, belief=belief))
+        return flow.next_step(replace(state, wrong=False))
 
     def view(self, flow: ExplanationFlow, state: StudyState) -> dict[str, Any]:
         """Shows the steps so far, the labels, the old messages and the new messages."""
@@ -243,14 +242,13 @@ class Evaluation(Stage["ExplanationFlow", StudyState]):
         """Moves to the next step, or to the next stage after the last step."""
         talk, chosen = flow.talk(state), tuple(payload["labels"])
         talk.hear(StepLabelled(chosen))
-        belief = tuple(talk.state.belief.tolist())
         state = replace(
             state,
             labels=chosen,
-            belief=belief,
-            after=flow.of_types(belief),
+            after=flow.of_types(talk),
             previous=state.given,
             new=0,
+            **keep(talk),
         )
         if state.step + 1 == flow.plan.n_steps:
             return flow.after(state)
@@ -277,6 +275,5 @@ class ClipQuestion(OneLabel["ExplanationFlow", StudyState]):
         label, talk = payload["label"], flow.talk(state)
         if label != CANNOT_TELL:
             talk.hear(AskQuestion(state.asked[-1].question), QuestionAnswered(label))
-        belief = tuple(talk.state.belief.tolist())
-        answered = replace(state.asked[-1], answer=label, after=flow.of_types(belief))
-        return flow.next_step(replace(state, belief=belief, asked=(*state.asked[:-1], answered)))
+        answered = replace(state.asked[-1], answer=label, after=flow.of_types(talk))
+        return flow.next_step(replace(state, asked=(*state.asked[:-1], answered), **keep(talk)))

@@ -1,5 +1,4 @@
-"""The tables of a study (``study export``), and the messages and labels from which listening and
-answering habits are learned (``study habits``)."""
+"""The tables of a study (``study export``)."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,12 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from xplain.errors import InputError, one_of
 from xplain.explanation.belief import NO_FIT
-from xplain.explanation.listening import ExplanationRecord
 from xplain.explanation.message_sets import names_of
 from xplain.people.export import Row, measure_seconds, write
-from xplain.people.flow import CANNOT_TELL, STREAMS, Event, Participant, People
+from xplain.people.flow import CANNOT_TELL, Event, Participant, People
 from xplain.people.log import read
 from xplain.people.study.evaluation import EVALUATING
 from xplain.people.study.flow import Study, StudyState
@@ -343,34 +340,3 @@ def _measure_passed(first: Event, last: Event) -> tuple[float, float]:
     by the device's wall clock."""
     own = (last.browser or 0.0) - (first.browser or 0.0)
     return own / 1000, (last.payload["at"] - first.payload["at"]) / 1000
-
-
-def listeners_in(database: Path, stream: str = "person") -> list[ExplanationRecord]:
-    """Reads what participants were told and how they labelled (``study habits``).
-
-    Args:
-        database: a study's database that no server has open, or a snapshot.
-        stream: kind of participants: "person", "pilot" or "bot"; kinds are never mixed.
-
-    Returns:
-        For each participant with labels: the problem, and the new messages and the labels of each
-        step.
-
-    Raises:
-        InputError: the file is not a study's database, the kind does not exist, or it has no
-            labels.
-    """
-    one_of("stream", stream, STREAMS)
-    plan, everybody = read(database, StudyPlan, StudyState)
-    own = [steps_of(one) for one in everybody if one.stream == stream]
-    labelled = [found for steps in own if (found := [step for step in steps if step.labels])]
-    if not labelled:
-        raise InputError("database", str(database), f"a database with answers (stream {stream})")
-    return [
-        ExplanationRecord(
-            plan.problem,
-            [step.page.new for step in steps],
-            [np.array(step.labels, np.uint8) for step in steps],
-        )
-        for steps in labelled
-    ]
