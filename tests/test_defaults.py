@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from tests.configurations import composed
 from xplain.experiment.config import CONF, compose_config, schema
-from xplain.people.server import Server
+from xplain.people.site import Server
 from xplain.runs.mlflow import MLflow
 
 GROUPS = ("labeler", "clusterer", "users", "observers", "queries", "belief", "domain", "solver")

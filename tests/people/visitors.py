@@ -15,7 +15,7 @@ from starlette.datastructures import Headers
 
 from xplain.people.bots import Bot, Browser, Page, visit
 from xplain.people.export import find_differences
-from xplain.people.server import Server
+from xplain.people.site import Server
 from xplain.people.store import Store
 from xplain.people.web import create_app
 

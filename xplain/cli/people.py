@@ -25,7 +25,7 @@ from xplain.experiment.config import compose_config
 
 if TYPE_CHECKING:
     from xplain.people.flow import Flow
-    from xplain.people.server import Server
+    from xplain.people.site import Server
 
 
 def flow(name: str) -> type[Flow[Any, Any]]:
@@ -65,7 +65,7 @@ def serve(name: str, words: list[str]) -> None:
     The first start stores the plan in the database; later starts continue with it. Only one process
     may have the database open. Instructions for a lab: docs/study.md, docs/collect.md.
     """
-    from xplain.people.server import LOOPBACK
+    from xplain.people.site import LOOPBACK
 
     cfg = load_config(name, words)
     # Before the plan is made, so that a wrong key is refused at once.
@@ -119,7 +119,7 @@ def server_of(cfg: DictConfig) -> Server:
         InputError: a key or value is not allowed.
     """
     from xplain.people.plan import make_typed
-    from xplain.people.server import Server
+    from xplain.people.site import Server
 
     whole_number("port", cfg.port, 1, 65535)
     given: Any = OmegaConf.to_container(cfg.server, resolve=True)

@@ -22,7 +22,7 @@ from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import Any, Generic, TypeVar
 from urllib import request
 from urllib.error import HTTPError
-from urllib.parse import urlencode
+from urllib.parse import urlencode, urljoin
 
 import numpy as np
 from markupsafe import Markup
@@ -30,7 +30,6 @@ from markupsafe import Markup
 from xplain.errors import InputError, Probability
 from xplain.people.flow import Fields
 from xplain.people.log import Plan
-from xplain.people.plan import LabQuestion
 from xplain.randomness import below
 
 WIDTH = {"width": "1280"}
@@ -226,8 +225,8 @@ class Bot(Generic[Plan, H]):
     """One simulated participant, who knows only what the pages say.
 
     The method ``at_<stage>`` answers a stage's page: it returns the fields, or the fields and the
-    duration in seconds. Pages without such a method need only a click. Each stage draws from its
-    own random stream, so an additional page does not change other pages.
+    duration in seconds. Other pages need only a click, or answers to the lab's own questions. Each
+    stage draws from its own random stream, so an additional page does not change other pages.
 
     Args:
         plan: has the sentences and the true labels.
@@ -236,6 +235,7 @@ class Bot(Generic[Plan, H]):
 
     Attributes:
         told: sentences of the briefing so far.
+        role: index of the role whose briefing the participant read.
         known: bitmask of the facts that the participant learned from messages.
     """
 
@@ -244,6 +244,7 @@ class Bot(Generic[Plan, H]):
         self.streams = cache(partial(below, rng))
         self.corrected: set[tuple[str, int]] = set()
         self.told: set[str] = set()
+        self.role = 0
         self.known = 0
 
     def chance(self, probability: float) -> bool:
@@ -255,45 +256,43 @@ class Bot(Generic[Plan, H]):
         self.rng = self.streams(page.stage)
         return self.chance(self.habits.leaving)
 
-    def practises(self, page: Page, right: int) -> Fields:
-        """Chooses the label of a practice step. The page reports a wrong label, so a bot errs at
-        most once."""
+    def at_practice(self, page: Page) -> Fields:
+        """Answers that the step makes sense only if the page gives the message; a step that needs
+        thinking ahead makes sense. The page reports a wrong label, so a bot errs at most once."""
+        right = int(page.stage == "ahead" or self.plan.example.message in page.messages)
         errs = self.chance(self.habits.mistake) and (page.stage, right) not in self.corrected
         if errs:
             self.corrected.add((page.stage, right))
         return [("label", str(right ^ errs))]
 
-    def answer_questions(self, questions: tuple[LabQuestion, ...]) -> Fields:
-        """Answers each required question: with the right answer if there is one, otherwise with the
-        first allowed answer."""
+    at_ahead = at_practice
+
+    def go_on(self, page: Page) -> Fields:
+        """Answers each required question of the lab: with the right answer if there is one,
+        otherwise with the first allowed answer."""
+        asked = {"before": self.plan.before, "questions": self.plan.asked}.get(page.stage, ())
         return [
             (q.field, q.right or (q.options or (str(q.low) if q.kind == "number" else "–",))[0])
-            for q in questions
+            for q in asked
             if q.needed
         ]
-
-    def fill(self, page: Page) -> tuple[Fields, float]:
-        """Fills in a page. Returns the fields and the time that it took, in seconds."""
-        self.rng = self.streams(page.stage)
-        answer = getattr(self, f"at_{page.stage}", lambda page: None)
-        filled: tuple[Fields, float] | Fields = answer(page) or []
-        return filled if isinstance(filled, tuple) else (filled, 0.0)
 
     def at_consent(self, page: Page) -> Fields:
         """Agrees to take part."""
         return [("agree", "1")]
 
-    def at_practice(self, page: Page) -> Fields:
-        """Answers that the step makes sense only if the page gives the message."""
-        return self.practises(page, int(self.plan.example.message in page.messages))
+    def learn(self, page: Page, briefings: Sequence[Sequence[str]]) -> None:
+        """Learns the facts of a briefing, if there is one, and finds the role with these facts."""
+        self.told |= {*page.facts}
+        if page.facts:
+            self.role = next(i for i, told in enumerate(briefings) if self.told <= {*told})
 
-    def at_ahead(self, page: Page) -> Fields:
-        """Answers that the step makes sense."""
-        return self.practises(page, 1)
-
-    def at_questions(self, page: Page) -> Fields:
-        """Answers only the required questions."""
-        return self.answer_questions(self.plan.asked)
+    def fill(self, page: Page) -> tuple[Fields, float]:
+        """Fills in a page. Returns the fields and the time that it took, in seconds."""
+        self.rng = self.streams(page.stage)
+        answer = getattr(self, f"at_{page.stage}", self.go_on)
+        filled: tuple[Fields, float] | Fields = answer(page) or []
+        return filled if isinstance(filled, tuple) else (filled, 0.0)
 
 
 class Researcher:
@@ -313,6 +312,9 @@ class Researcher:
         if status != 200:
             raise InputError("--key", key, "the researcher's key, which the server prints")
         self.token = Page.of_html(html).hidden["token"]
+        # Cookies are below the path of the server's address, which all forms have.
+        path = html.partition('/researcher/invitations"')[0].rpartition('"')[2]
+        self.browser.url = urljoin(url, path)
 
     def invite(self, count: int, stream_name: str = "bot") -> list[str]:
         """Creates invitations, and returns their tokens.

@@ -19,8 +19,7 @@ from starlette.exceptions import HTTPException
 from xplain.errors import InputError
 from xplain.people.export import write_identifiers
 from xplain.people.flow import STREAMS, pick
-from xplain.people.server import LOOPBACK
-from xplain.people.site import Visit, Visiting
+from xplain.people.site import LOOPBACK, Visit, Visiting
 
 desk = APIRouter(prefix="/researcher")
 MOST_INVITATIONS = 500

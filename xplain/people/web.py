@@ -22,8 +22,7 @@ from xplain.errors import Refused
 from xplain.people.desk import desk
 from xplain.people.flow import Conflict, Full, Participant, State
 from xplain.people.log import Unknown
-from xplain.people.server import LOOPBACK, Server
-from xplain.people.site import Site, Visit, Visiting
+from xplain.people.site import LOOPBACK, Server, Site, Visit, Visiting
 from xplain.people.store import DataErased, Store
 
 MAX_ITEMS = 50
@@ -171,14 +170,14 @@ def consent(visit: Visiting) -> Response:
     return PlainTextResponse(f"{content}\n", headers=kept)
 
 
-@pages.get("/picture/{number}")
-def picture(visit: Visiting, number: str) -> Response:
+@pages.get("/picture/{number:int}")
+def picture(visit: Visiting, number: int) -> Response:
     """Returns an image of a transition in the plan."""
     shown, _ = visit.site.flow.plan.shown, visit.participant
-    at = int(number) if re.fullmatch("[0-9]{1,5}", number) else len(shown)
-    if at >= len(shown) or shown[at].picture is None:
+    found = shown[number].picture if number < len(shown) else None
+    if found is None:
         raise HTTPException(404)
-    return Response(base64.b64decode(shown[at].picture.content), media_type=shown[at].picture.media)
+    return Response(base64.b64decode(found.content), media_type=found.media)
 
 
 class PageEvent(BaseModel, strict=True):
@@ -245,12 +244,10 @@ def create_app(store: Store, server: Server) -> FastAPI:
         return Visit(site, request).error(error.status_code, text)
 
     @app.exception_handler(Unknown)
-    def unknown(request: Request, error: Unknown) -> Response:
-        return Visit(site, request).error(403, "no_invitation")
-
     @app.exception_handler(Refused)
-    def not_accepted(request: Request, error: Refused) -> Response:
-        return Visit(site, request).error(400, str(error))
+    def not_accepted(request: Request, error: Exception) -> Response:
+        known = isinstance(error, Refused)
+        return Visit(site, request).error(*((400, str(error)) if known else (403, "no_invitation")))
 
     @app.middleware("http")
     async def guard(request: Request, go_on: Callable[[Request], Awaitable[Response]]) -> Response:
@@ -273,14 +270,13 @@ def create_app(store: Store, server: Server) -> FastAPI:
         reply.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
         return reply
 
-    framed = bool(server.frames)
     app.add_middleware(
         SessionMiddleware,
         secret_key=store.hash_texts("session"),
         session_cookie=f"study_{store.mark}",
         path=f"{server.path}/",
         # In another page's frame a browser sends only cookies with SameSite=None.
-        same_site="none" if framed else "lax",
-        https_only=server.https or framed,
+        same_site="none" if server.frames else "lax",
+        https_only=server.https or bool(server.frames),
     )
     return app

@@ -22,8 +22,7 @@ from xplain.people.bots import Page
 from xplain.people.export import write_identifiers
 from xplain.people.log import backup
 from xplain.people.plan import make_typed
-from xplain.people.server import Server
-from xplain.people.site import Site, Visit, direction
+from xplain.people.site import Server, Site, Visit, direction
 from xplain.people.store import Store
 from xplain.people.study.tables import export
 from xplain.people.web import create_app

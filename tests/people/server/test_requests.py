@@ -24,7 +24,7 @@ from xplain.errors import InputError, Refused
 from xplain.people.bots import Page
 from xplain.people.desk import GUESSES
 from xplain.people.plan import LabQuestion, lab_questions, make_typed
-from xplain.people.server import Server
+from xplain.people.site import Server
 from xplain.people.store import Store
 
 

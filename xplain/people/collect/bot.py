@@ -57,9 +57,8 @@ class Observer(bots.Bot[CollectPlan, Habits]):
 
     def at_task(self, page: Page) -> None:
         """Learns the facts of a briefing, if there is one."""
-        self.told |= {*page.facts}
-        if page.facts:
-            self.held = next(r.held for r in self.plan.roles if self.told <= {*r.briefing})
+        self.learn(page, [role.briefing for role in self.plan.roles])
+        self.held = self.plan.roles[self.role].held if self.told else self.held
 
     def at_clips(self, page: Page) -> tuple[Fields, float]:
         """Gives a label for each step."""

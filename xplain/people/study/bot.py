@@ -56,7 +56,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
 
     def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         super().__init__(plan, habits, rng)
-        self.user_type = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
+        self.role = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
         self.seconds = 0.0
         self._judged: int | None = None
         self._labels: list[int] = []
@@ -66,20 +66,13 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         sigma = self.habits.spread
         return float(self.rng.lognormal(-(sigma**2) / 2, sigma))
 
-    def at_before(self, page: Page) -> Fields:
-        """Gives the right answers to the questions before the briefing."""
-        return self.answer_questions(self.plan.before)
-
     def at_briefing(self, page: Page) -> None:
         """Learns the facts of the briefing, if there are any."""
-        self.told |= {*page.facts}
-        briefings = [{*role.briefing} for role in self.plan.roles]
-        if page.facts:
-            self.user_type = next(t for t, told in enumerate(briefings) if self.told <= told)
+        self.learn(page, [role.briefing for role in self.plan.roles])
 
     def at_eligibility(self, page: Page) -> Fields:
         """Answers each question as the briefing says, apart from mistakes."""
-        questions = self.plan.roles[self.user_type].eligibility
+        questions = self.plan.roles[self.role].eligibility
         return [
             (f"q{i}", str((q.answer + self.chance(self.habits.mistake)) % len(q.options)))
             for i, q in enumerate(questions)
@@ -96,7 +89,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         ``label_noise``, like the labels of the trace."""
         labels, habits, (clip,) = self.plan.clip_labels, self.habits, page.steps
         assert labels is not None, "a plan that asks has the answers of simulated people"
-        truth = labels.of_steps([clip]).label_probabilities(1, self.known)[self.user_type, 0]
+        truth = labels.of_steps([clip]).label_probabilities(1, self.known)[self.role, 0]
         label = int(truth) ^ self.chance(habits.label_noise)
         seconds = (habits.page_seconds + habits.label_seconds) * self._draw_factor() * self._pace
         self.seconds += seconds
@@ -104,7 +97,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
 
     def at_quiz(self, page: Page) -> Fields:
         """Ticks the statements that the simulated participant believes."""
-        wrong = self.plan.wrong[self.user_type]
+        wrong = self.plan.wrong[self.role]
         self._forget(self.habits.fading)
         true = {
             fact.belief if j in wrong and not self.known >> j & 1 else fact.message
@@ -118,7 +111,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
 
     def _forget(self, probability: float) -> None:
         """Forgets each corrected fact with this probability, independently."""
-        wrong = self.plan.wrong[self.user_type]
+        wrong = self.plan.wrong[self.role]
         for j in indices(self.known):
             if j in wrong and self.chance(probability):
                 self.known &= ~(1 << j)
@@ -140,7 +133,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
                 j = [fact.message for fact in self.plan.facts].index(sentence)
                 self.known |= 1 << j
         fresh = range(count) if self.known != self._judged else range(len(self._labels), count)
-        truth = self.plan.true_labels[self.user_type, :, self.known]
+        truth = self.plan.true_labels[self.role, :, self.known]
         self._labels = [
             int(truth[i]) ^ self.chance(habits.label_noise) if i in fresh else self._labels[i]
             for i in range(count)

@@ -464,19 +464,14 @@ def _choose_texts(
             for a domain.
         asks: True if questions are asked; their description is then part of the texts.
     """
-    if table:
-        wording = {**wording, "words": {**wording["words"], "robot_does": "{phrase}"}}
+    own: dict[str, Any] = {**wording, **(wording["asking"] if asks else {})}
     if asks:
-        said = wording["asking"]
-        wording = {**wording, "task": [*wording["task"], *said["task"]]}
-        wording["debriefing"] = said["debriefing"]
+        own["task"] = [*wording["task"], *own["task"]]
+    if table:
+        own["words"] = {**own["words"], "robot_does": "{phrase}"}
     if natural:
-        return {
-            **wording,
-            "introduction": wording["introduction_natural"] or wording["introduction"],
-        }
-    told = {key: [*wording[key], *wording["briefed"][key]] for key in ("consent", "debriefing")}
-    return {**wording, **told}
+        return own | {"introduction": own["introduction_natural"] or own["introduction"]}
+    return own | {key: [*own[key], *more] for key, more in own["briefed"].items()}
 
 
 def find_needed(labels: NDArray[np.uint8]) -> int:
