@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +87,15 @@ def test_bots_trust_the_labs_own_authority(
         monkeypatch.setenv("SSL_CERT_FILE", files["ssl_certfile"])
         (invitation,) = Researcher(url, key).invite(1)
         assert visit(Browser(url), bot_of(store.flow, 0), invitation) == "done"
+
+
+def test_bots_find_the_path_of_the_address(store: Store) -> None:
+    """Cookies are below this path, also where no proxy removes it."""
+    server = replace(GENEROUS, address="https://lab.example.org/robots")
+    with running(create_app(store, server)) as url:
+        researcher = Researcher(url, store.researcher_key)
+        (invitation,) = researcher.invite(1)
+        assert visit(Browser(researcher.browser.url), bot_of(store.flow, 0), invitation) == "done"
 
 
 @dataclass

@@ -221,13 +221,12 @@ class Site:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        self.templates.globals |= list_globals(self.flow)
-        self.templates.globals |= {"root": server.path, "mark": store.mark}
-        frames = " ".join(server.frames)
-        self.headers = HEADERS | {"Content-Security-Policy": POLICY + (frames or "'none'")}
-        self.headers |= {} if frames else {"X-Frame-Options": "DENY"}
-        if server.https:
-            self.headers["Strict-Transport-Security"] = "max-age=31536000"
+        own = {"root": server.path, "mark": store.mark}
+        self.templates.globals |= list_globals(self.flow) | own
+        frames = " ".join(server.frames) or "'none'"
+        self.headers = HEADERS | {"Content-Security-Policy": POLICY + frames}
+        self.headers |= {} if server.frames else {"X-Frame-Options": "DENY"}
+        self.headers |= {"Strict-Transport-Security": "max-age=31536000"} if server.https else {}
 
     def say(self, key: str) -> str:
         """Returns the text of a key; an unknown key is returned unchanged."""

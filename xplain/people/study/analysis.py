@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -348,10 +349,10 @@ def stratified_permutation(
 
 
 TITLES = {**MEASURES, **SECONDARY}
-LOOKS = {
-    "conformant": ("#D55E00", "s"),
-    "personalized": ("#0072B2", "o"),
-    "asking": ("#00795A", "^"),
+LOOKS: dict[str, dict[str, Any]] = {
+    "conformant": {"color": "#D55E00", "marker": "s"},
+    "personalized": {"color": "#0072B2", "marker": "o"},
+    "asking": {"color": "#00795A", "marker": "^"},
 }
 """Colour and marker of each condition."""
 TESTS = {
@@ -426,19 +427,21 @@ def draw(analysis: Analysis, path: Path) -> None:
         row = analysis.measures.loc[measure]
         for x, condition in enumerate(analysis.conditions):
             values = analysis.data.loc[analysis.data["condition"] == condition, measure].dropna()
-            colour, mark = LOOKS[condition]
+            look = LOOKS[condition]
             aside = x + rng.uniform(-0.15, 0.15, len(values))
-            look = {"color": colour, "marker": mark}
             axis.scatter(aside, values, s=16, alpha=0.5, linewidths=0, label="participants", **look)
             half = stats.t.ppf(0.975, max(len(values) - 1, 1)) * stats.sem(values)
-            style = {"color": colour, "markersize": 8, "capsize": 4, "label": "mean, 95 % interval"}
-            axis.errorbar(x + 0.3, values.mean(), half, fmt=mark, **style)
+            mean = {"label": "mean, 95 % interval", "linestyle": "", "markersize": 8, "capsize": 4}
+            axis.errorbar(x + 0.3, values.mean(), half, **look, **mean)
             if analysis.conditions == CONDITIONS:
                 axis.plot(x + 0.45, row[f"paper_{condition}"], "*", color="black", label="paper")
-        title = f"Hedges' g {row['hedges_g']:.2f} [{row['g_low']:.2f}, {row['g_high']:.2f}]"
-        axis.set_title(title, fontsize=9)
-        axis.set_xticks(range(2), analysis.conditions)
-        axis.set(xlim=(-0.4, 1.6), ylabel=TITLES[measure])
+        axis.set(
+            title=f"Hedges' g {row['hedges_g']:.2f} [{row['g_low']:.2f}, {row['g_high']:.2f}]",
+            xticks=range(2),
+            xticklabels=analysis.conditions,
+            xlim=(-0.4, 1.6),
+            ylabel=TITLES[measure],
+        )
         axis.spines[["top", "right"]].set_visible(False)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     of_each = dict(zip(labels, handles, strict=True))
