@@ -12,6 +12,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
+MADE = $(VENV)/.made
 RUN = $(VENV)/.run
 PEOPLE = $(VENV)/.people
 READY = $(VENV)/.ready
@@ -39,10 +40,10 @@ test-docs: $(READY)
 test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m "slow and not browser"
 
-# These files alone: each process would read all the others first. They are spread by test: one file
-# has the longest.
+# These files alone: each process would read all the others first. They are spread by file, and
+# tests in a class apart.
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) \* 2) --dist loadgroup $$(grep -rl --include='*.py' 'mark\.browser' tests)
+	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) \* 2) --dist loadscope $$(grep -rl --include='*.py' 'mark\.browser' tests)
 
 # PYTHON is a version here, that uv finds.
 versions: oldest newest
@@ -83,10 +84,8 @@ outputs: $(READY)
 	for page in README.md docs/*.md; do $(BIN)/python docs/run.py --write $$page || exit 1; done
 	$(BIN)/python docs/tables.py --write
 
-# The longest first: none is left to one core at the end.
-LONGEST = $(addprefix benchmarks/,study_defaults.py first_minutes.py again.py)
 bench-quick: $(READY)
-	printf '%s\n' $(LONGEST) $(filter-out $(LONGEST),$(wildcard benchmarks/[a-z]*.py)) | xargs -P 2 -I {} $(BIN)/python {} --quick
+	$(BIN)/python benchmarks --quick
 
 bench: $(READY)
 	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file || exit 1; done
@@ -97,13 +96,16 @@ study: $(PEOPLE)
 ui: $(RUN)
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db
 
-# What a run needs, what people's pages need besides, and what tests and docs need.
-$(RUN): pyproject.toml constraints.txt
+$(MADE):
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "xplain needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
 	@echo "setting up $(VENV) (a minute or two, once)"
 	$(PYTHON) -m venv --without-pip $(VENV)
 	$(BIN)/python -m ensurepip  # what venv would do in silence
 	$(PIP) --upgrade "pip>=25.1"  # shows its progress
+	touch $(MADE)
+
+# What a run needs, what people's pages need besides, and what tests and docs need.
+$(RUN): $(MADE) pyproject.toml constraints.txt
 	$(PIP) --constraint constraints.txt --editable .
 	touch $(RUN)
 
@@ -111,9 +113,9 @@ $(PEOPLE): $(RUN)
 	$(PIP) --constraint constraints.txt --editable ".[people]"
 	touch $(PEOPLE)
 
-$(READY): $(RUN)
+$(READY): $(MADE) pyproject.toml constraints.txt
 	$(PIP) --constraint constraints.txt --editable ".[test,gym,docs]"
-	touch $(READY)
+	touch $(RUN) $(READY)
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -24,10 +24,10 @@ settings.load_profile("untimed")
 Run = Callable[..., tuple[int, str, str]]
 
 LONGEST = (
-    "fixed/test_fixed.py",
     "solvers/test_optimum.py",
     "runs/test_sweep.py",
     "runs/test_interrupted.py",
+    "fixed/test_fixed.py",
     "runs/test_saved.py",
     "runs/test_api.py",
     "people/test_dry_runs.py",
@@ -37,13 +37,14 @@ LONGEST = (
     "service/test_service.py",
     "report/test_report.py",
     "people/collect/test_protocol.py",
-    "report/test_browser.py",
     "people/test_browser.py",
-    "people/test_lab_browser.py",
     "people/test_collect_browser.py",
+    "report/test_browser.py",
+    "people/test_lab_browser.py",
 )
-"""Files that take long. The first two compile different kernels that many others need, and the next
-need none: no kernel is compiled in two processes at once."""
+"""Files that take long. The first compiles the kernels of the searches, and the next two need none.
+When the fourth begins, it loads those, and compiles the others: no two processes compile the same
+kernel."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

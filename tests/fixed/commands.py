@@ -163,10 +163,10 @@ def read_cell(cell: str) -> Any:
 
 
 RUNS: dict[str, Callable[[Path], Kept]] = {
-    "rescue": lambda folder: explanations(folder, "rescue"),
-    "four_rooms": lambda folder: explanations(folder, "four_rooms"),
-    "paper": paper,
     "discovery": discovery,
     "collection": collection,
     "study": study,
+    "four_rooms": lambda folder: explanations(folder, "four_rooms"),
+    "rescue": lambda folder: explanations(folder, "rescue"),
+    "paper": paper,
 }

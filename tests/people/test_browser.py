@@ -287,41 +287,44 @@ document.querySelector('fieldset.newest legend').textContent = step;
 """
 
 
-def test_a_question_is_accessible_in_sight_and_photographed(
-    driver: Driver, axe: str, opened: Opened
-) -> None:
-    """On a phone and on a small laptop, before the first step and with messages on the page; with
-    the paper's belief it also asks after messages."""
-    asking = learned("ask=clips", "belief=independent", "belief.error=0")
-    plan, store = asking.plan, opened(asking)
-    seen: list[tuple[int, int]] = []
-    said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
-    longest = [max(said, key=len), max((f"The robot {c.phrase}" for c in plan.clips), key=len)]
-    with running(create_app(store, GENEROUS)) as url:
-        for cell, (user_type, condition) in enumerate(plan.cells):
-            if condition != "asking":
-                continue
-            preview(driver, url, store.researcher_key, cell)
+class TestQuestions:
+    """The longest test, beside which others run (see browser-test in the Makefile)."""
 
-            def look(page: Page) -> None:
-                if page.stage == "asking":
-                    (clip,) = page.steps
-                    (name,) = driver.find_elements("css selector", "fieldset.newest legend")
-                    assert plan.clips[clip].phrase in name.text
-                    assert out_of_sight(driver)[0] <= 0, page
-                    assert faults(driver, axe) == [], page
-                    if not seen or len(page.messages) > seen[-1][1]:
-                        photograph(driver, f"asking-{len(page.messages):02d}")
-                    seen.append((clip, len(page.messages)))
-                    if plan.clips[clip].situation:
-                        driver.execute_script(SAID, longest)
-                        assert out_of_sight(driver)[0] <= 0, longest
+    def test_a_question_is_accessible_in_sight_and_photographed(
+        self, driver: Driver, axe: str, opened: Opened
+    ) -> None:
+        """On a phone and on a small laptop, before the first step and with messages on the page;
+        with the paper's belief it also asks after messages."""
+        asking = learned("ask=clips", "belief=independent", "belief.error=0")
+        plan, store = asking.plan, opened(asking)
+        seen: list[tuple[int, int]] = []
+        said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
+        longest = [max(said, key=len), max((f"The robot {c.phrase}" for c in plan.clips), key=len)]
+        with running(create_app(store, GENEROUS)) as url:
+            for cell, (user_type, condition) in enumerate(plan.cells):
+                if condition != "asking":
+                    continue
+                preview(driver, url, store.researcher_key, cell)
 
-            person = bot_of(asking, user_type)
-            assert take_part(driver, person, look=look) == "done"
-        assert complaints(driver) == []
-    assert len(seen) >= len(plan.roles)
-    assert len({messages for _, messages in seen}) > 1
+                def look(page: Page) -> None:
+                    if page.stage == "asking":
+                        (clip,) = page.steps
+                        (name,) = driver.find_elements("css selector", "fieldset.newest legend")
+                        assert plan.clips[clip].phrase in name.text
+                        assert out_of_sight(driver)[0] <= 0, page
+                        assert faults(driver, axe) == [], page
+                        if not seen or len(page.messages) > seen[-1][1]:
+                            photograph(driver, f"asking-{len(page.messages):02d}")
+                        seen.append((clip, len(page.messages)))
+                        if plan.clips[clip].situation:
+                            driver.execute_script(SAID, longest)
+                            assert out_of_sight(driver)[0] <= 0, longest
+
+                person = bot_of(asking, user_type)
+                assert take_part(driver, person, look=look) == "done"
+            assert complaints(driver) == []
+        assert len(seen) >= len(plan.roles)
+        assert len({messages for _, messages in seen}) > 1
 
 
 def test_bots_in_chromium_take_part_hear_new_messages_and_replay_agrees(
@@ -436,9 +439,10 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         page = Page.of_html(driver.page_source)
         fields = [*page.hidden.items(), ("label_0", "1"), ("label_1", "0")]
         item = {"action": f"{server.url}/study", "fields": fields, "sequence": int(here)}
-        name = "study-outbox-" + page.hidden["token"][:16]
         driver.execute_script(
-            "localStorage.setItem(arguments[0], arguments[1])", name, json.dumps(item)
+            "localStorage.setItem('study-outbox-' + arguments[0].slice(0, 16), arguments[1])",
+            page.hidden["token"],
+            json.dumps(item),
         )
         driver.refresh()
         wait(lambda: moved_on(driver, here))

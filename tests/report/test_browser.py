@@ -20,8 +20,7 @@ from tests import processes
 from tests.chromium import resize
 from tests.runs import sweeps
 
-# One process has the sweep and the server.
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("report")]
+pytestmark = pytest.mark.browser
 
 SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", sweeps.ROOT / "outputs/screenshots"))
 

@@ -81,7 +81,6 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     server.server_close()
 
 
-@pytest.mark.xdist_group("jspsych")
 @pytest.mark.parametrize("kind", ["session", "questionnaire"])
 def test_a_lab_s_page_in_jspsych_counts_each_answer_once(
     talks: Talks, driver: Driver, lab: str, kind: str

@@ -90,14 +90,13 @@ def missing(rng: np.random.Generator) -> Problem:
 
 
 KINDS: dict[str, tuple[Callable[[np.random.Generator], Problem], int]] = {
+    "messages land": (random_problem, 40),
     "messages may be missed": (missing, 12),
     "messages may be missed, questions": (lambda rng: needy(rng, questions=True), 2),
-    "messages land": (random_problem, 40),
     "questions": (asking, 24),
     "questions after noisy labels": (asking_later, 4),
 }
-"""How a problem is drawn, and how many are. The kernels of the first kinds are compiled here, while
-tests/fixed compiles those of the others in another process."""
+"""How a problem is drawn, and how many are."""
 CASES = [
     *KINDS.values(),
     *(pytest.param(one, 8 * draws, marks=pytest.mark.slow) for one, draws in KINDS.values()),
@@ -109,6 +108,32 @@ def optimum_of(problem: Problem) -> float:
     if problem.messages_land and not problem.questions:
         return reduced_optimal_value(problem)
     return literal_optimal_value(problem)
+
+
+@pytest.mark.parametrize(("draw", "count"), CASES, ids=NAMES)
+def test_a_policy_is_worth_what_all_answers_say_and_simulations_say_nearly(
+    draw: Callable[[np.random.Generator], Problem],
+    count: int,
+    rng_of_the_day: np.random.Generator,
+) -> None:
+    """Values are compared with enumeration, in which nothing is merged, and each solver's once with
+    simulations. No value is above the optimum."""
+    solvers = QMDP(), QHR(), Conformant(), Lookahead(), POMCP(simulations=300), Certified(nodes=3)
+    for number in range(count // 2):
+        problem = draw(rng_of_the_day)
+        optimum = optimum_of(problem)
+        for place, solver in enumerate(solvers):
+            policy = solver.plan(problem)
+            worth, (value, cost) = evaluate(problem, policy), worth_by_enumeration(problem, policy)
+            assert worth.value_is == "exact"
+            assert worth.value == pytest.approx(value, abs=1e-9)
+            assert worth.cost == pytest.approx(cost, abs=1e-9)
+            assert worth.value <= optimum + 1e-8
+            if place % 3 == number:
+                drawn = simulate(problem, CachedPolicy(policy), 300, 1)
+                assert drawn.value_is == "simulated"
+                assert abs(drawn.value - value) <= 5 * drawn.value_se + 1e-9
+                assert abs(drawn.cost - cost) <= 5 * drawn.cost_se + 1e-9
 
 
 @pytest.mark.parametrize(("draw", "count"), CASES, ids=NAMES)
@@ -142,32 +167,6 @@ def test_bounds_enclose_the_optimum_and_the_certified_policy_earns_it(
             for solver in (QMDP(), Lookahead()):
                 best = max(worths(solver.plan(problem), 0, 0, problem.start).values())
                 assert optimum - 1e-9 <= best <= states @ problem.start + 1e-9
-
-
-@pytest.mark.parametrize(("draw", "count"), CASES, ids=NAMES)
-def test_a_policy_is_worth_what_all_answers_say_and_simulations_say_nearly(
-    draw: Callable[[np.random.Generator], Problem],
-    count: int,
-    rng_of_the_day: np.random.Generator,
-) -> None:
-    """Values are compared with enumeration, in which nothing is merged, and each solver's once with
-    simulations. No value is above the optimum."""
-    solvers = QMDP(), QHR(), Conformant(), Lookahead(), POMCP(simulations=300), Certified(nodes=3)
-    for number in range(count // 2):
-        problem = draw(rng_of_the_day)
-        optimum = optimum_of(problem)
-        for place, solver in enumerate(solvers):
-            policy = solver.plan(problem)
-            worth, (value, cost) = evaluate(problem, policy), worth_by_enumeration(problem, policy)
-            assert worth.value_is == "exact"
-            assert worth.value == pytest.approx(value, abs=1e-9)
-            assert worth.cost == pytest.approx(cost, abs=1e-9)
-            assert worth.value <= optimum + 1e-8
-            if place % 3 == number:
-                drawn = simulate(problem, CachedPolicy(policy), 300, 1)
-                assert drawn.value_is == "simulated"
-                assert abs(drawn.value - value) <= 5 * drawn.value_se + 1e-9
-                assert abs(drawn.cost - cost) <= 5 * drawn.cost_se + 1e-9
 
 
 def test_known_types_are_worth_what_the_plain_recursion_says() -> None:
