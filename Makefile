@@ -27,6 +27,9 @@ SPREAD = --dist loadfile --no-loadscope-reorder --numprocesses
 run: $(RUN)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
 
+# There is a process for each core: with more threads they would wait for each other.
+tests browser-test bench-quick: export OMP_NUM_THREADS = 1
+
 # mypy needs one core for a while: the tests begin beside it.
 test: style
 	$(MAKE) --jobs 2 types tests

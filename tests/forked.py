@@ -55,10 +55,10 @@ def captured(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.CompletedProcess(arguments, code, said, error.read_text())
 
 
-def start(folder: Path, *arguments: str) -> BaseProcess:
+def start(folder: Path, *arguments: str, output: str = OUTPUT) -> BaseProcess:
     """Starts ``xplain …`` in this folder, or ``python script.py``, for :func:`wait`."""
     folder.mkdir(parents=True, exist_ok=True)
-    return _start(folder, arguments, folder / OUTPUT, folder / OUTPUT)
+    return _start(folder, arguments, folder / output, folder / output)
 
 
 def _start(folder: Path, arguments: tuple[str, ...], out: Path, error: Path) -> BaseProcess:

@@ -3,22 +3,20 @@ application in a thread."""
 
 from __future__ import annotations
 
-import os
 import re
 import socket
-import subprocess
-import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Thread
 from typing import Any
 
 import uvicorn
 
-from tests import processes
+from tests import forked
 from xplain.people.flow import Flow
 from xplain.people.store import Store
 
@@ -33,35 +31,31 @@ def free_port() -> int:
 
 
 class ServerProcess:
-    """``python -m xplain study``, or another command, on 127.0.0.1. Its database has a plan, or
-    gets the plan of the overrides."""
+    """``xplain study``, or another command, on 127.0.0.1. Its database has a plan, or gets the
+    plan of the overrides."""
 
     def __init__(self, database: Path, *overrides: str, command: str = "study") -> None:
         self.command = command
         self.database, self.port, self.overrides = database, free_port(), overrides
         self.url = f"http://127.0.0.1:{self.port}"
         self.key = ""
-        self._process: subprocess.Popen[str] | None = None
+        self._process: BaseProcess | None = None
         self._log = database.with_suffix(".log")
 
     def start(self) -> None:
         """Returns when the server answers."""
-        command = [
-            *(sys.executable, "-m", "xplain", self.command, f"port={self.port}"),
-            *(f"database={self.database}", *self.overrides),
-        ]
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        with self._log.open("w", encoding="utf-8") as log:
-            self._process = processes.start(
-                command, cwd=self.database.parent, env=environment, stderr=log, stdout=log
-            )
+        self._process = forked.start(
+            self.database.parent,
+            *(self.command, f"port={self.port}", f"database={self.database}", *self.overrides),
+            output=self._log.name,
+        )
         until = time.monotonic() + 120  # a plan is perhaps prepared first
         while time.monotonic() < until:
             try:
                 with urllib.request.urlopen(self.url, timeout=2):
                     break
             except OSError:
-                if self._process.poll() is not None:
+                if self._process.exitcode is not None:
                     raise RuntimeError(self.log()) from None
                 time.sleep(0.05)
         else:
@@ -75,7 +69,8 @@ class ServerProcess:
     def kill(self) -> None:
         """Kills the server with -9, at any moment."""
         if self._process is not None:
-            processes.kill(self._process)
+            self._process.kill()
+            self._process.join()
             self._process = None
 
     def stop(self) -> None:
@@ -83,8 +78,7 @@ class ServerProcess:
         wait for connections that browsers keep open; here it is killed after one second."""
         if self._process is not None:
             self._process.terminate()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(timeout=1)
+            self._process.join(1)
             self.kill()
 
     def __enter__(self) -> ServerProcess:
