@@ -4,7 +4,8 @@
     python -m tests.mutants --each 8 --seed 1 --areas solvers  of these folders alone
 
 A mistake is one of cosmic-ray's, or a statement that is left out (:mod:`tests.mutants.operators`).
-The tests that import its module run first, then all tests of the mirrored folder in tests/.
+The tests that import its module run first, then all tests of the mirrored folder in tests/ and
+those that import a module that imports it. What a test's helpers import counts as the test's.
 Outcomes are in outputs/mutants-SEED.jsonl: an interrupted campaign goes on from there. The tests
 must pass without a mistake (`make mutants` runs them before).
 """
@@ -16,12 +17,14 @@ import json
 import os
 import random
 import re
+import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -31,6 +34,8 @@ from tests.mutants import operators
 ROOT = Path(__file__).parents[2]
 SECONDS = 1800.0
 """That a mutant's tests may take: a mistake can make a loop endless."""
+MEMORY = 8 << 30
+"""Bytes that they may take: an endless loop can fill the machine before its time is over."""
 LEFT_OUT = (".*", "outputs", "build", "dist", "__pycache__")
 
 
@@ -75,36 +80,49 @@ def draw(area: str, paths: list[Path], seed: int) -> Iterator[Mutant]:
             yield Mutant(area, str(path.relative_to(ROOT)), operator, occurrence, change)
 
 
-STUB = (ROOT / "xplain" / "__init__.pyi").read_text("utf-8")
 PUBLIC = {
-    f"xplain.{name}": module
-    for module, name in re.findall(r"^from (\S+) import (\w+)", STUB, re.MULTILINE)
+    f"{stub.parent.relative_to(ROOT)}.{name}".replace("/", "."): module
+    for stub in (ROOT / "xplain").rglob("__init__.pyi")
+    for module, name in re.findall(
+        r"^from (\S+) import (\w+)", stub.read_text("utf-8"), re.MULTILINE
+    )
 }
 """The module of each public name."""
 
 
+@cache
 def imported(path: Path) -> set[str]:
-    """Lists the modules that a file imports, or imports a name from."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    """Lists the modules that a file, or a helper in tests/ that it imports, imports or imports a
+    name from."""
+    text, found = path.read_text("utf-8"), set()
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.ImportFrom):
             names = [f"{node.module}.{alias.name}" for alias in node.names]
             found |= {str(node.module), *(PUBLIC.get(name, name) for name in names)}
-    return found
+    if "tests" in path.relative_to(ROOT).parts and re.search(r"\brun\(", text):
+        found.add("tests.conftest")  # the commands
+    helpers = [ROOT / f"{name.replace('.', '/')}.py" for name in found if name.startswith("tests.")]
+    return found.union(*(imported(one) for one in helpers if one.is_file() and one != path))
+
+
+def name_module(path: Path) -> str:
+    """Returns the name by which a file is imported."""
+    return str(path.relative_to(ROOT)).removesuffix(".py").replace("/", ".")
 
 
 def stages(mutant: Mutant) -> list[list[str]]:
-    """Lists the test files for a mutant: files that import its module, then the files of the
-    mirrored folder."""
-    module = mutant.path.removesuffix(".py").replace("/", ".")
-    near, mirror = [], []
+    """Lists the test files for a mutant: files that import its module; then the files of the
+    mirrored folder, and files that import a module that imports it."""
+    module = name_module(ROOT / mutant.path)
+    users = {name_module(p) for own in areas().values() for p in own if module in imported(p)}
+    near, far = [], []
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
-        test = str(path.relative_to(ROOT))
+        folder, test = path.relative_to(ROOT / "tests").parts[0], str(path.relative_to(ROOT))
         if module in imported(path):
             near.append(test)
-        elif path.relative_to(ROOT / "tests").parts[0] == mutant.area:
-            mirror.append(test)
-    return [tests for tests in (near, mirror) if tests]
+        elif folder == mutant.area or users & imported(path):
+            far.append(test)
+    return [tests for tests in (near, far) if tests]
 
 
 def noticed(mutant: Mutant, copy: Path, scratch: Path) -> str:
@@ -129,6 +147,7 @@ def noticed(mutant: Mutant, copy: Path, scratch: Path) -> str:
                 capture_output=True,
                 text=True,
                 timeout=SECONDS,
+                preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY)),
                 check=False,
             )
             if done.returncode not in (0, 5):  # 5: all tests of these files are slow
