@@ -278,33 +278,35 @@ def test_parts_of_a_cost_add_up_and_are_those_put_in(tmp_path) -> None:
 
 
 COSTS = {
-    ("exact", "qmdp"): 2.0,
-    ("exact", "say_all"): 6.0,
-    ("exact", "conformant"): 4.0,
-    ("coin", "qmdp"): 9.0,
-    ("coin", "say_all"): 6.0,
-    ("coin", "conformant"): 3.0,
+    ("exact", "tree"): 2.0,
+    ("exact", "practice"): 6.0,
+    ("exact", "truth"): 4.0,
+    ("coin", "tree"): 9.0,
+    ("coin", "practice"): 6.0,
+    ("coin", "truth"): 3.0,
 }
 
 
 def test_a_ratio_is_to_the_best_other_way() -> None:
     rows = [
-        {"domain": "rescue", "lambda": 1.0, "explainee": kind, "solver": solver, "seed": seed,
-         "trace": trace, "type": "A", "cost": cost * (1 + seed)}
-        for (kind, solver), cost in COSTS.items()
+        {"domain": "rescue", "lambda": 1.0, "explainee": kind, "solver": "qmdp", "labeler": labeler,
+         "seed": seed, "trace": trace, "type": "A", "cost": cost * (1 + seed)}
+        for (kind, labeler), cost in COSTS.items()
         for seed, trace in itertools.product(range(3), range(2))
     ]  # fmt: skip
     frame = pd.DataFrame(rows)
     summary: Any = SimpleNamespace(
         posed=["domain", "explainee"],
-        ways=["solver"],
+        ways=["labeler"],
         problem=["seed", "trace", "type"],
         replicate="seed",
         episodes=frame,
         values=lambda key: list(dict.fromkeys(frame[key])),
     )
     found = compute_ratios(summary).frame.set_index("explainee")
-    assert found.columns.tolist()[:2] == ["Domain", "QMDP"]
+    assert found.columns.tolist()[:2] == ["Domain", "labeler = tree"]
     ratio = {kind: [float(cell.split()[0]) for cell in found.loc[kind][1:]] for kind in found.index}
     assert ratio["exact"] == pytest.approx([0.5, 3, 2])
     assert ratio["coin"] == pytest.approx([3, 2, 0.5])
+    summary.ways = []  # nothing to compare
+    assert not len(compute_ratios(summary).frame)

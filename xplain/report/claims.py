@@ -265,23 +265,23 @@ def decomposition(summary: Summary) -> Table:
 
 def compute_ratios(summary: Summary) -> Table:
     """Makes a table of ratios, with a row for each problem and a column for each way to explain;
-    an empty table if the sweep has one kind of people.
+    an empty table if the sweep has one kind of people or one way.
 
     A ratio is the cost of a way divided by the cost of the best other way in the sweep, for the
     same people. Above 1, the other way costs less.
     """
-    if "explainee" not in summary.posed:
+    if "explainee" not in summary.posed or not summary.ways:
         return table_of([], 1)
 
     def cells(own: pd.DataFrame) -> dict[str, str]:
-        ways = compare.group_episodes(summary, summary.ways or ["solver"], own)
+        ways = compare.group_episodes(summary, summary.ways, own)
         costs = {compare.label(way): e.set_index(summary.problem)["cost"] for way, e in ways}
+        shared = pd.DataFrame(costs).dropna()  # traces and users that all ways have
+        clusters = shared.index.get_level_values(summary.replicate)
         found = {}
-        for way, cost in costs.items():
-            others = [other for name, other in costs.items() if name != way]
-            both = pd.concat([cost, min(others, key=pd.Series.mean)], axis=1, join="inner")
-            clusters = both.index.get_level_values(summary.replicate)
-            ratio = clustered_ratio(both.iloc[:, 0], both.iloc[:, 1], clusters)
+        for way in costs if len(shared) and len(costs) > 1 else ():
+            others = shared.drop(columns=way)
+            ratio = clustered_ratio(shared[way], others[others.mean().idxmin()], clusters)
             found[way] = f"{ratio.mean:.2f} ± {(ratio.high - ratio.low) / 2:.2f}"
         return found
 
