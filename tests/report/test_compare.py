@@ -338,10 +338,24 @@ def test_sweeps_of_one_or_two_keys_are_shown_by_these_keys(tmp_path, name):
     means = " ".join(shown.to_numpy().ravel())
     for job in jobs:
         assert f"{np.mean([distinct(job, t) for t in range(4)]):.2f}" in means
-    figure = plots.against_main_key(summary, "regret")
-    ticks = {text.get_text() for text in figure.axes[0].get_xticklabels()}
-    assert ticks == {*values}
-    assert len(figure.axes[0].containers) == max(1, len({job.get("solver") for job in jobs}))
+    (axes,) = plots.against_main_key(summary, "regret").axes
+    ticks = [text.get_text() for text in axes.get_xticklabels()]
+    places = range(3) if x == "clusterer" else map(float, values)  # numbers are at their places
+    assert [*zip(ticks, axes.get_xticks(), strict=True)] == [*zip(values, places, strict=True)]
+    assert len(axes.containers) == max(1, len({job.get("solver") for job in jobs}))
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "shown"),
+    [
+        ("users__count", "1,2,3,4,5", "users.count = 3"),
+        ("trade_off", "2,3,4,5,6", "λ = 4"),
+        ("trade_off", "0.5,1,2,3,4", "λ = 1"),
+    ],
+)
+def test_the_belief_is_drawn_for_one_value_which_is_named(tmp_path, key, values, shown):
+    figure = plots.belief_over_steps(summary_of(tmp_path, product(**{key: values})))
+    assert figure.axes[0].get_ylabel() == f"belief in the true type, {shown}"
 
 
 def test_a_third_key_makes_rows_and_panels_of_its_own(tmp_path):

@@ -5,12 +5,11 @@ import io
 import math
 import re
 
-import numpy as np
 import pytest
 from rich.console import Console
 
 from xplain.interaction.statistics import Estimate
-from xplain.report.table import BEST, TIE, Table, cell, number, table_of
+from xplain.report.table import BEST, TIE, Table, cell, table_of
 
 ODD = "a|b*c <d> & [bold]e[/]"
 UNKNOWN = math.nan
@@ -89,11 +88,3 @@ def test_groups_stand_side_by_side_and_below_each_other_on_the_terminal() -> Non
     assert re.search(r"this.*λ +cost.*1 +2.*that.*λ +cost.*1 +3", terminal(table), re.DOTALL)
     single = {place: own for place, own in row.items() if place[0] != "that"}
     assert list(table_of([single], 1).frame) == ["λ", "cost"]
-
-
-def test_numbers_have_two_decimals_and_no_negative_zero() -> None:
-    for value in np.linspace(-0.02, 0.02, 81):
-        text = number(float(value))
-        assert abs(float(text) - value) <= 0.005 + 1e-12
-        assert text != "-0.00"
-    assert number(UNKNOWN) == ""

@@ -1,13 +1,16 @@
 """Pictures: the explanation that is shown, with its description, and plots."""
 
+from itertools import product
+
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
-from xplain.domains.base import Scene
+from xplain.domains.base import Item, Scene
 from xplain.report.plots import draw
 from xplain.report.trace import Story, describe_choice, draw_trace, typical
 
@@ -18,12 +21,13 @@ def story(trace: int, user: str, cost: float) -> Story:
         "trace": trace,
         "type": user,
         "cost": cost,
-        "transitions": ["a", "b"],
-        "positions": [[0, 0], [0, 1], [0, 2]],
+        "transitions": ["a", "b", "c"],
+        "positions": [[0, 0], [0, 1], [0, 2], [0, 2]],
         "prior": [0.5, 0.5],
         "steps": [
             {"messages": ["x"], "labels": [1], "belief": [0.8, 0.2], "questions": []},
             {"messages": [], "labels": [1, 0], "belief": [0.9, 0.1], "questions": asked},
+            {"messages": ["z"], "labels": [0, 1, 1], "belief": [0.7, 0.3]},
         ],
     }
 
@@ -65,7 +69,41 @@ def test_the_picture_says_what_the_robot_says_and_which_episode_it_is(scene: Sce
     drawn = (line for axes in figure.findobj(Axes) for line in axes.get_lines())
     lines = {line.get_label(): line.get_ydata() for line in drawn}
     for number, name in enumerate(("type_1", "type_2 (the user's)")):
-        np.testing.assert_array_equal(lines[name], [[0.5, 0.8, 0.9], [0.5, 0.2, 0.1]][number])
+        np.testing.assert_array_equal(
+            lines[name], [[0.5, 0.8, 0.9, 0.7], [0.5, 0.2, 0.1, 0.3]][number]
+        )
+
+
+def colours(axes: Axes, column: int, row: int, *corners: tuple[float, float]) -> set[str]:
+    """Reads a drawn picture's colours in some corners of a cell."""
+    image = np.asarray(axes.figure.canvas.buffer_rgba())
+    places = np.add((column, row), np.multiply(0.4, corners))
+    return {to_hex(image[-int(y) - 1, int(x)] / 255) for x, y in axes.transData.transform(places)}
+
+
+def test_every_label_and_every_cell_of_the_map_is_in_its_place() -> None:
+    one, scene = story(0, "E", 1.0), Scene(6, 3, ((1, 1),), (Item("goal", "G", ((0, 2),)),))
+    figure = draw_trace(scene, one, "", {}, ["type_1", "type_2"])
+    FigureCanvasAgg(figure).draw()
+    place, steps, belief = figure.axes
+    marks, words = steps.get_legend().legend_handles, steps.get_legend().texts
+    key = {own.get_text(): to_hex(mark.get_color()) for mark, own in zip(marks, words, strict=True)}
+    for k, i in product(range(3), repeat=2):
+        label = one["steps"][k]["labels"][i] if i <= k else 2
+        assert colours(steps, k + 1, i + 1, *product((-1, 1), repeat=2)) == {
+            (key["inexplicable (?)"], key["explicable"], "#ffffff")[label]
+        }
+    assert colours(steps, 2, 1, (1.25, 0), (1.25, 2.5), (1.25, 5)) == {
+        key["messages before the step"]
+    }
+    for row, column in product(range(6), range(3)):
+        (drawn,) = colours(place, column, row, (1, -1), (-1, 1))
+        assert (drawn == "#ffffff") == ((row, column) not in ((1, 1), (0, 2)))
+    assert (place.get_xlim(), place.get_ylim()) == ((-0.5, 2.5), (5.5, -0.5))
+    assert place.get_position().width > 0.8 * place.get_position(original=True).width
+    assert steps.get_xlim() == belief.get_xlim()  # a step is above its belief
+    for axes in (steps, belief):
+        assert 0 < axes.get_legend().get_window_extent().x0 - axes.bbox.x1 < axes.bbox.width / 4
 
 
 @pytest.mark.parametrize("least", [0.0, -4.0], ids=["costs", "regrets"])

@@ -137,7 +137,7 @@ def list_said(story: Story, sentences: Mapping[str, str]) -> str:
 def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> None:
     """Draws the grid, its items by letter, and the path with the number of each step."""
     for row, column in scene.walls:
-        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, color="#555555", linewidth=0))
+        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, color="#555555"))
     size = 9.0 if scene.columns <= LARGE else 6.5
     for index, item in enumerate(scene.items):
         colour = ITEM_COLOURS[index % len(ITEM_COLOURS)]
@@ -175,7 +175,13 @@ def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> No
     axes.spines[:].set_visible(True)
     if scene.items:
         columns = 1 if max(len(item.name) for item in scene.items) > LONG else 3
-        axes.legend(loc="upper left", bbox_to_anchor=(0, -0.05), ncols=columns, fontsize=8)
+        axes.legend(
+            loc="upper left",
+            bbox_to_anchor=(0, 0),
+            borderaxespad=2,  # below the numbers of the columns
+            ncols=columns,
+            fontsize=8,
+        )
 
 
 def _draw_steps(axes: Axes, story: Story, names: Sequence[str], caption: str) -> None:
@@ -184,7 +190,7 @@ def _draw_steps(axes: Axes, story: Story, names: Sequence[str], caption: str) ->
     for k, step in enumerate(steps):
         for i, label in enumerate(step["labels"]):
             colour = EXPLICABLE if label else INEXPLICABLE
-            axes.add_patch(Rectangle((k + 0.54, i + 0.54), 0.92, 0.92, color=colour, linewidth=0))
+            axes.add_patch(Rectangle((k + 0.54, i + 0.54), 0.92, 0.92, color=colour))
             if not label:
                 axes.text(k + 1, i + 1, "?", ha="center", va="center", weight="bold")
         if step["messages"]:
