@@ -37,7 +37,7 @@ def page(stage: DemoSetup, played: PlayedSession) -> str:
     """Makes the HTML of the page, with the session's data in it."""
     template = files("xplain.demo").joinpath("player.html").read_text(encoding="utf-8")
     # Inside a script element only "</" and "<!--" have a special meaning.
-    data = json.dumps(content(stage, played), ensure_ascii=False).replace("<", "\\u003c")
+    data = json.dumps(content(stage, played)).replace("<", "\\u003c")
     return template.replace("/*DATA*/null", data)
 
 
