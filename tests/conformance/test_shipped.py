@@ -21,6 +21,7 @@ from xplain.testing import (
     TypeFinderConformance,
     TypeSourceConformance,
 )
+from xplain.testing.suite import Conformance
 
 PDDL = pytest.mark.skipif(
     find_spec("fast_downward") is None, reason="pip install 'xplain-hri[pddl]'"
@@ -52,24 +53,34 @@ def of_rescue() -> Hypotheses:
     return Hypotheses.of_domain(Chosen("domain", "rescue").make())
 
 
-class TestDomains(DomainConformance):
-    @pytest.fixture(params=shipped("domain", "pddl", "gym"))  # which have no task of their own
-    def component(self, request: pytest.FixtureRequest) -> Any:
-        return request.param.component
+def make_tests(
+    suite: type[Conformance], choices: list[Any], **attributes: bool
+) -> type[Conformance]:
+    """Makes the suite's tests of these choices; ``attributes`` are the suite's."""
+
+    class Shipped(suite):
+        @pytest.fixture(params=choices)
+        def component(self, request: pytest.FixtureRequest) -> Any:
+            return request.param.component
+
+    return type(suite.__name__, (Shipped,), attributes)
 
 
-class TestTypeSources(TypeSourceConformance):
-    @pytest.fixture(
-        params=shipped("users", explicit="users.groups={A: [fire], B: [fence, first_aid]}")
-    )
-    def component(self, request: pytest.FixtureRequest) -> Any:
-        return request.param.component
-
-
-class TestQueries(QueriesConformance):
-    @pytest.fixture(params=shipped("queries"))
-    def component(self, request: pytest.FixtureRequest) -> Any:
-        return request.param.component
+# These have no task of their own.
+TestDomains = make_tests(DomainConformance, shipped("domain", "pddl", "gym"))
+TestTypeSources = make_tests(
+    TypeSourceConformance,
+    shipped("users", explicit="users.groups={A: [fire], B: [fence, first_aid]}"),
+)
+TestQueries = make_tests(QueriesConformance, shipped("queries"))
+TestClusterers = make_tests(TypeFinderConformance, shipped("clusterer", "single", "perfect"))
+SINGLE, PERFECT = ([Chosen("clusterer", name)] for name in ("single", "perfect"))
+TestSingle = make_tests(TypeFinderConformance, SINGLE, finds_types=False)
+TestPerfect = make_tests(TypeFinderConformance, PERFECT, needs_truth=True)
+TestSolvers = make_tests(SolverConformance, shipped("solver", "silent", "say_all"))
+OPEN_LOOP = [Chosen("solver", name) for name in ("silent", "say_all")]
+TestOpenLoop = make_tests(SolverConformance, OPEN_LOOP, weighs_costs=False)
+TestExplainees = make_tests(ExplaineeConformance, shipped("explainee"))
 
 
 class TestLabelers(LabelerConformance):
@@ -81,43 +92,7 @@ class TestLabelers(LabelerConformance):
         return made
 
 
-class TestClusterers(TypeFinderConformance):
-    @pytest.fixture(params=shipped("clusterer", "single", "perfect"))
-    def component(self, request: pytest.FixtureRequest) -> Any:
-        return request.param.component
-
-
-class TestSingle(TypeFinderConformance):
-    chosen = Chosen("clusterer", "single")
-    finds_types = False
-
-
-class TestPerfect(TypeFinderConformance):
-    chosen = Chosen("clusterer", "perfect")
-    needs_truth = True
-
-
 class TestPartitions(PartitionConformance):
     @pytest.fixture(params=["kmeans", "agglomerative"])
     def component(self, request: pytest.FixtureRequest) -> Any:
         return Chosen("clusterer", request.param).component.partition
-
-
-class TestSolvers(SolverConformance):
-    @pytest.fixture(params=shipped("solver", "silent", "say_all"))
-    def component(self, request: pytest.FixtureRequest) -> Any:
-        return request.param.component
-
-
-class TestOpenLoop(SolverConformance):
-    weighs_costs = False
-
-    @pytest.fixture(params=["silent", "say_all"])
-    def component(self, request: pytest.FixtureRequest) -> Any:
-        return Chosen("solver", request.param).component
-
-
-class TestExplainees(ExplaineeConformance):
-    @pytest.fixture(params=shipped("explainee"))
-    def component(self, request: pytest.FixtureRequest) -> Any:
-        return request.param.component

@@ -1,4 +1,5 @@
-"""Each fault of a component fails the suite's test about it."""
+"""Each fault of a component fails the suite's test about it; random problems have what has revealed
+errors."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -9,12 +10,14 @@ import pytest
 
 from xplain import Clustering, LabelerTrainer, Parameter, Setting, UserType
 from xplain.explanation.actions import EXPLAIN, GiveMessages, give
+from xplain.interaction.explainees import Exact, Reaction
 from xplain.learning.data.queries import Independent
 from xplain.learning.user_types import UserTypes
 from xplain.solvers.greedy import QMDP
 from xplain.testing import (
     Chosen,
     DomainConformance,
+    ExplaineeConformance,
     LabelerConformance,
     PartitionConformance,
     QueriesConformance,
@@ -22,6 +25,7 @@ from xplain.testing import (
     TypeFinderConformance,
     TypeSourceConformance,
 )
+from xplain.testing.problems import random_problem, with_questions
 
 
 class Wrapped:
@@ -84,12 +88,23 @@ SOLVERS = [
 
 rescue = Chosen("domain", "rescue").make()
 idle = Parameter("weather", 0, 1, "It rains.")
+rooms = Wrapped(
+    Chosen("domain", "four_rooms").make(),
+    model=lambda d, values: d.model({one.name: one.accurate for one in d.parameters}),
+)
+
+
+def count_wrong(values):
+    return sum(values[one.name] != one.accurate for one in rescue.parameters)
+
+
 doubled = replace(rescue.parameters[0], message=" ")
 DOMAINS = [
     ("is_a_domain", object()),
     ("named_and_told", Wrapped(rescue, parameters=(doubled, *rescue.parameters[1:]))),
     ("named_and_told", Wrapped(rescue, parameters=(*rescue.parameters, rescue.parameters[0]))),
     ("shares_states", Wrapped(rescue, actions=rescue.actions[:-1])),
+    ("shares_states", Wrapped(rescue, model=lambda d, v: (d, rooms)[count_wrong(v) > 1].model(v))),
     (
         "function_of_the_values",
         Wrapped(
@@ -229,6 +244,30 @@ PARTITIONS = [
     ("as_they_were", groups(lambda v, k: np.copyto(v, 0))),
 ]
 
+
+def meets(hear=lambda person, new: person.hear(new), react=lambda person, k, out: out):
+    """Makes the paper's users with a fault; ``react`` gets the first k transitions' reaction."""
+
+    def meet(kind, labels, same, seed):
+        def changed(person, given, shown):
+            return Reaction(*react(person, shown, person.react(given, shown)))
+
+        return Wrapped(kind.meet(labels, same, seed), hear=hear, react=changed)
+
+    return Wrapped(Exact(), meet=meet)
+
+
+EXPLAINEES = [
+    ("zeros_and_ones", meets(react=lambda p, k, out: (out.thoughts[1:], out.answers))),
+    ("zeros_and_ones", meets(react=lambda p, k, out: (out.thoughts, out.answers + 1))),
+    ("same_person", meets(react=lambda p, k, out: (out.thoughts, RNG.integers(0, 2, k)))),
+    (
+        "same_person",
+        meets(lambda p, new: np.copyto(p.table.p, RNG.integers(0, 2, p.table.p.shape))),
+    ),
+    ("stay_as_they", meets(react=lambda p, k, out: (p.table.p.fill(0), out.answers))),
+]
+
 FAULTS = [
     *((SolverConformance, test, c) for test, c in SOLVERS),
     *((DomainConformance, test, c) for test, c in DOMAINS),
@@ -240,6 +279,7 @@ FAULTS = [
     *((LabelerConformance, test, c) for test, c in LABELERS),
     *((TypeFinderConformance, test, c) for test, c in CLUSTERERS),
     *((PartitionConformance, test, c) for test, c in PARTITIONS),
+    *((ExplaineeConformance, test, c) for test, c in EXPLAINEES),
 ]
 
 
@@ -258,3 +298,36 @@ def test_every_promise_has_a_fault_that_breaks_it():
     promises = {(s, name) for s in suites for name in dir(s) if name.startswith("test_")}
     broken = {(s, name) for s, about, _ in FAULTS for name in dir(s) if about in name}
     assert not promises - broken
+
+
+SOMETIMES = {
+    "a message that costs nothing": lambda p: (p.message_cost == 0).any(),
+    "messages of unequal cost": lambda p: len(set(p.message_cost)) > 1,
+    "labels without a cost": lambda p: p.inexplicability_cost == 0,
+    "no discount": lambda p: p.discount == 1,
+    "a strong discount": lambda p: p.discount < 0.7,
+    "a discount for each action": lambda p: p.discount_per == "action",
+    "certain labels": lambda p: np.isin(p.p_explicable, (0, 1)).all(),
+    "uncertain labels": lambda p: not np.isin(p.p_explicable, (0, 1)).any(),
+    "both together": lambda p: 0 < np.isin(p.p_explicable, (0, 1)).mean() < 1,
+    "a type that nobody has": lambda p: (p.prior == 0).any(),
+    "a repeated transition": lambda p: (
+        p.n_steps > 1 and np.ptp(p.p_explicable[:, [0, -1]], 1).max() == 0
+    ),
+    "a message without effect": lambda p: len(p.table.effective_of_any()) < p.n_messages,
+    "several types": lambda p: p.n_types > 1,
+    "users who err": lambda p: not p.habits.never_err,
+    "several questions": lambda p: p.questions.limits.most > 1,
+    "questions at the beginning": lambda p: p.questions.limits.when == "first",
+    "a question that costs nothing": lambda p: p.questions.limits.cost == 0,
+}
+
+
+def test_random_problems_have_what_has_revealed_errors() -> None:
+    rng = np.random.default_rng(0)
+    drawn = [with_questions(rng, random_problem(rng)) for _ in range(300)]
+    for what, has in SOMETIMES.items():
+        assert 0.02 < np.mean([has(problem) for problem in drawn]) < 0.98, what
+    for p in drawn:
+        assert min(*p.message_cost, p.trade_off, p.questions.limits.cost) >= 0
+        assert all(((own.p >= 0) & (own.p <= 1)).all() for own in (p.table, p.questions.table))
