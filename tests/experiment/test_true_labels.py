@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from tests.configurations import composed, world
-from tests.decisions import plain_optimal_value
 from xplain.errors import InputError
 from xplain.experiment.explanations import (
     Costs,
     evaluate,
-    problem_for,
     problem_of_types,
     trace_seed,
     with_true_labels,
@@ -129,30 +127,6 @@ def test_shares_are_the_observers() -> None:
     np.testing.assert_allclose(case.everyone.array(6)[0], weighed)
 
 
-def test_messages_that_differ_in_price() -> None:
-    """say_all pays for all messages, and the clairvoyant what the plain recursion says."""
-    prices = "first_aid: 0.5, fire: 2, refuel: 1, rubble: 0, puddle: 3, fence: 0.25"
-    words = ("labeler=truth", "discount=1", "traces=3", "lambda=0.4")
-    known, costs = world(*words, f"message_cost={{{prices}}}")
-    solvers = {"say_all": SayAll(), "clairvoyant": KnownType("labels")}
-    for record in evaluate(known, costs, solvers, Independent(), Exact(), 0):
-        own = known.cases[record.trace], costs, solvers[record.solver]
-        problem = problem_for(known, *own, Independent(), record.user_type)
-        best = -plain_optimal_value(problem, 0)
-        paid = 0.4 * 6.75 if record.solver == "say_all" else best
-        assert record.episode.cost == pytest.approx(paid)
-
-
-def test_traces_are_those_of_any_other_labeler() -> None:
-    """Random numbers are common, so the costs of another labeler can be compared in pairs."""
-    learned, true = (world(f"labeler={own}", *SMALL)[0] for own in ("tree", "truth"))
-    for one, other in zip(learned.cases, true.cases, strict=True):
-        assert np.array_equal(one.transitions, other.transitions)
-        assert np.array_equal(one.labels.p, other.labels.p)
-    for one, other in zip(with_true_labels(learned).cases, true.cases, strict=True):
-        assert np.array_equal(one.learned.p, other.learned.p)  # both say what true labels are
-
-
 def test_types_of_real_people_are_not_known(tmp_path) -> None:
     components = components_of(composed("labeler=truth", "traces=1"))
     observed = observe(
@@ -197,19 +171,6 @@ def test_types_found_right_cost_what_the_true_ones_do(labeler: str) -> None:
             assert np.array_equal(one.learned.p[..., t], one.perfect.p[..., user])
     ways = (records(f"clusterer={own}", labeler) for own in ("dirichlet", "perfect"))
     assert all(same(one, other) for one, other in zip(*ways, strict=True))
-
-
-def test_types_that_behave_alike_are_one_for_the_oracle_too() -> None:
-    """The adjusted Rand index counts them as one, and so must the oracle's labelers."""
-    users = ("users=explicit", "users.groups={A: [fire, rubble], B: [fence], twin: [fire, rubble]}")
-    found, _ = world(*SMALL, *users, "clusterer=dirichlet")
-    true, _ = world(*SMALL, *users, "clusterer=perfect")
-    assert found.distinct.tolist() == [0, 1, 0]
-    assert found.learning["adjusted_rand_index"] == 1
-    for one, other in zip(found.cases, true.cases, strict=True):
-        assert np.array_equal(one.learned.p, other.learned.p)
-        assert np.array_equal(one.perfect.p[..., 0], one.perfect.p[..., 2])
-        assert np.array_equal(one.perfect.p[..., [0, 1]], one.learned.p)
 
 
 def test_a_solver_that_knows_the_labels_costs_what_it_costs_without_a_labeler() -> None:

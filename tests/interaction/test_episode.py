@@ -146,16 +146,6 @@ def within(count: int, of: int, probability: float) -> bool:
     return abs(count - of * probability) <= 4 * (of * probability * (1 - probability)) ** 0.5
 
 
-def test_who_never_errs_answers_what_they_think() -> None:
-    table = labels()
-    for k, (thoughts, answers) in enumerate(
-        reactions(Exact(), table, said=(0, 1, 0, 2, 0, 0, 0, 0))
-    ):
-        given = 0 if k < 1 else 1 if k < 3 else 3
-        assert thoughts.tolist() == table.p[: k + 1, given, 0].tolist()
-        assert np.array_equal(thoughts, answers)
-
-
 def mistakes(repeats: bool, said: tuple[int, ...], seed: int) -> list[list[int]]:
     found = reactions(Slips(0.5, repeats), said=said, seed=seed)
     return [(thoughts != answers).astype(int).tolist() for thoughts, answers in found]
