@@ -150,6 +150,8 @@ def _test_orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested
             if not {less, more} <= costs.keys():
                 continue
             apart = (costs[more] - costs[less]).dropna(subset=["cost"])
+            if apart.empty:  # the two solvers have no trace and user in common
+                continue
             names, limits = [SHORT[name] for name in (less, more)], (0.0, math.inf)
             text = f"{names[0]} costs less than {names[1]}"
             if (less, more) not in ORDER:
