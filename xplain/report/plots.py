@@ -244,14 +244,14 @@ def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> F
     """Draws the share of labels 1 with a message minus the share without it, with a panel for each
     type. There is no point if one of the two shares is unknown."""
     given = pd.DataFrame(bits_of(dataset.message_set, dataset.n_messages).astype(bool))
-    labels = given.set_axis(dataset.messages, axis=1).assign(label=dataset.label)
-    labels["panel"] = clustering.assignment[dataset.observer]
+    labels = given.assign(label=dataset.label, panel=clustering.assignment[dataset.observer])
     one = labels.melt(["panel", "label"], var_name="x", value_name="given")
     shares = one.pivot_table("label", ["panel", "x"], "given", sort=False)
     shares = shares.reindex(columns=[False, True])  # a message may be in all answers, or in none
     gain = 100 * (shares[True] - shares[False])
     points = gain.rename("mean").reset_index().assign(line="").sort_values("panel", kind="stable")
-    points["panel"] = points["panel"].map(dict(enumerate(names)))
+    for key, texts in (("panel", names), ("x", dataset.messages)):
+        points[key] = points[key].map(dict(enumerate(texts)))
     return draw(points, "message", "explicable labels in %:\ngiven − not given")
 
 
