@@ -83,12 +83,11 @@ def _compute_simple_bounds(problem: Problem, memory_gib: float) -> Bounds:
     check_memory("knowing the type", known_bytes(problem), memory_gib, "no other solver can")
     process = make_process(problem)
     known = known_values(process)
-    sure = known.now(0, 0)
     # Cheap messages for other types may delay the cost of a type.
     ineffective = (process.relevant >> np.arange(process.n_messages)[:, None] & 1) == 0
     saved = (1 - process.message_discount) * -known.value.min()
     delays = (ineffective & (process.price[:, None] < saved)).sum(axis=0)
-    upper = float(process.start @ (process.message_discount**delays * sure))
+    upper = float(process.start @ (process.message_discount**delays * known.now(0, 0)))
     return Bounds(min(best_plan_value(process, known), upper), upper, upper)
 
 
@@ -105,8 +104,7 @@ def _plan_messages(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
     belief."""
     plan: list[int] = []
     for step in range(greedy.process.n_steps):
-        visible = VisibleState(step, sum(plan))
-        plan.append(messages_of(greedy.decide(visible, belief)))
+        plan.append(messages_of(greedy.decide(VisibleState(step, sum(plan)), belief)))
     return plan
 
 

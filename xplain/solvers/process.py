@@ -205,9 +205,10 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
     limits, asked = problem.questions.limits, problem.questions.table
     if problem.messages_land:
         table = _sort_by_price(problem.table.select_messages(row_messages(problem, dense)), price)
-        effective = problem.table.effective()
         cells, question_cells = (_make_row_cells(t, len(price)) for t in (table, asked))
-        relevant = np.array([sum(1 << j for j in row) for row in effective], np.int64)
+        relevant = np.array(
+            [sum(1 << j for j in row) for row in problem.table.effective()], np.int64
+        )
         jump = accept = forget = None
     else:
         table = problem.table
@@ -294,9 +295,9 @@ def _compute_jumps(table: LabelTable, messages: int) -> IntArray:
     types, width = table.relevant.shape
     rows = np.arange(1 << width)
     jump = np.zeros((messages, len(rows), types), np.int64)
-    for t, own in enumerate(table.rows):
-        for bit, j in enumerate(own):
-            jump[j, rows >> bit & 1 == 0, t] = types << bit
+    whose, bit = np.nonzero(table.relevant != NONE)
+    known = rows >> bit[:, None] & 1
+    jump[table.relevant[whose, bit], :, whose] = (1 - known) * (types << bit)[:, None]
     return jump.reshape(messages, len(rows) * types)
 
 
@@ -567,28 +568,45 @@ def _solve_certain_messages(process: Process, prices: FloatArray) -> KnownValues
 
 def _solve_missed_messages(process: Process, prices: FloatArray) -> KnownValues:
     """Solves the MDP of known states if messages may be missed. The cell of V for (v, s) is
-    K · S + s, where the bitmask K tells which messages of the type's list ``own[t]`` are in v."""
-    states, types, bits = process.n_states, process.n_types, len(prices)
+    K · S + s, where the bitmask K tells which messages of the type's list ``own[t]`` are in v.
+
+    A type with r messages has 2^r sets v and K. Types with equally many messages are solved
+    together; the other cells, which no state has, stay 0."""
+    states, types, steps = process.n_states, process.n_types, process.n_steps
+    assert process.jump is not None
     assert process.accept is not None
-    accept = process.accept[:types]
-    sets = np.arange(1 << bits)
-    value = np.zeros((process.n_steps + 1, len(sets), states))
-    explain = np.empty((process.n_steps, states))
-    for k in reversed(range(process.n_steps)):
-        later = expected_after_forgetting(process, value[k + 1, 0])
-        explain[k] = process.discount * later - process.explain_cost[k]
-        value[k] = explain[k]
-        for given in reversed(range(len(sets))):  # larger sets are already solved
-            for bit in indices(~given & (len(sets) - 1)):
+    widths, rows = (process.own != NONE).sum(axis=1), states // types
+    value, explain = np.zeros((steps + 1, rows, rows, types)), np.zeros((steps, rows, types))
+    for width in np.unique(widths).tolist():
+        who, sets = np.flatnonzero(widths == width), np.arange(1 << width)
+        without = sets >> np.arange(width)[:, None] & 1 == 0
+        moves = [  # larger sets first
+            (sets[without[bit] & (without.sum(axis=0) == left)], bit)
+            for left in range(1, width + 1)
+            for bit in range(width)
+        ]
+        forget = None if process.forget is None else process.forget[who]
+        alike = process._replace(own=process.own[who, :width], forget=forget)
+        solved = np.zeros((steps + 1, len(sets), len(sets), len(who)))
+        for k in reversed(range(steps)):
+            later = expected_after_forgetting(alike, solved[k + 1, 0])
+            cost = process.explain_cost[k].reshape(rows, types)[: len(sets), who]
+            solved[k] = process.discount * later - cost
+            explain[k][: len(sets), who] = solved[k, 0]
+            for given, bit in moves:
                 # A message about a known fact changes nothing, so only unknown facts are looked at.
-                own, more = (
-                    value[k, one].reshape(-1, 2, 1 << bit, types)
-                    for one in (given, given | 1 << bit)
+                shape = len(given), -1, 2, 1 << bit, len(who)
+                own, more = (solved[k, one].reshape(shape) for one in (given, given | 1 << bit))
+                landed = process.accept[who] * (more[:, :, 1] - more[:, :, 0])
+                np.maximum(
+                    own[:, :, 0], more[:, :, 0] + landed - prices[bit, who], out=own[:, :, 0]
                 )
-                gained = more[:, 0] + accept * (more[:, 1] - more[:, 0]) - prices[bit]
-                np.maximum(own[:, 0], gained, out=own[:, 0])
-    stride = np.zeros((process.n_messages, states // types, types), np.int64)
-    whose, digit = np.nonzero(process.own != NONE)
-    stride[process.own[whose, digit], :, whose] = (states << digit)[:, None]
-    cells = Cells(np.arange(states), stride.reshape(process.n_messages, states))
-    return KnownValues(value.reshape(len(value), -1), explain, cells, process.cells)
+                solved[k, given] = own.reshape(len(given), len(sets), len(who))
+        value[:, : len(sets), : len(sets), who] = solved
+    jump = process.jump.reshape(process.n_messages, rows, types).max(axis=1)
+    return KnownValues(
+        value.reshape(steps + 1, rows * states),
+        explain.reshape(steps, states),
+        Cells(np.arange(states), np.tile(jump, rows) * rows),
+        process.cells,
+    )
