@@ -9,7 +9,7 @@ import pytest
 
 from tests.questions.tables import random_hypotheses
 from xplain import Clustering, Dataset, Hypotheses, LabelTable
-from xplain.learning.answers import RATES
+from xplain.learning.answers import RATES, WAYS
 from xplain.learning.data.observers import Observations
 from xplain.learning.evidence import (
     BEATEN,
@@ -267,7 +267,8 @@ def test_of_people_as_assumed_hypotheses_are_believed(seed, caplog):
     assert not evidence.lost
     assert (evidence.trust == 1).all()
     assert evidence.nats[0] < min(evidence.nats[1], COIN)
-    DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observations(data), 0)
+    finder = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known))
+    assert finder.find(Observations(data), 0).answers.ways == pytest.approx(WAYS, abs=0.02)
     assert "do not fit" not in caplog.text
     assert "not what people think" not in caplog.text
 

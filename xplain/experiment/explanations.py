@@ -3,7 +3,7 @@
 Case ── Problem ── Policy ── Episode ── Record
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -14,22 +14,40 @@ from xplain.errors import InputError, Range, checks, number, one_of
 from xplain.experiment.pipeline import Case, PreparedData
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.actions import VisibleState
+from xplain.explanation.anybody import ERROR, GUESS, Open
 from xplain.explanation.asking import Limits
 from xplain.explanation.belief import BeliefUpdate, Facts, fact_sets
 from xplain.explanation.habits import PAPER
 from xplain.explanation.label_table import LabelTable, join_steps
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.interaction.episode import explain
-from xplain.interaction.explainees import Explainee
+from xplain.interaction.explainees import Exact, Explainee, Slips
 from xplain.interaction.metrics import Record
+from xplain.interaction.statistics import Estimate, clustered_mean
 from xplain.randomness import derive_seed
 from xplain.solvers.base import CachedPolicy, Solver
+from xplain.solvers.greedy import QMDP, Conformant
+from xplain.solvers.simple import SayAll
 
 LACKING = {
     "everyone": "another solver: the labeler for all users tests too many messages on one trace",
     "type": "another solver: this one needs observers of every type, whose true types are known",
 }
 """Allowed values if there is no table of the labels that a solver knows."""
+
+COMPARED: dict[str, Solver] = {
+    "these types": QMDP(),
+    "one explanation for all types (solver=conformant)": Conformant(),
+    "all messages (solver=say_all)": SayAll(),
+}
+"""The explainers whose costs are estimated before any user is met."""
+WAYS: tuple[Explainee, ...] = (
+    Exact(),
+    Slips(ERROR, repeats=False),
+    Slips(0.0, repeats=False, polite=GUESS),
+    Slips(0.5, repeats=False),
+)
+"""People by their way of answering, in the order of :data:`xplain.explanation.habits.WAYS`."""
 
 
 @checks()
@@ -222,6 +240,58 @@ def evaluate(
                     right = np.pad(matched, (0, len(right) - len(matched)))
                 records.append(Record(name, index, user, right, episode))
     return records
+
+
+def estimate_costs(prepared: PreparedData, costs: Costs) -> dict[str, Estimate]:
+    """Estimates the costs of explanations with doubtful types (``prepared.doubted``), as in
+    :func:`simulate_costs`."""
+    cases = [replace(case, questions=None) for case in prepared.cases]
+    problems = [problem_of_types(prepared, case, costs, Open()) for case in cases]
+    return simulate_costs(problems, [case.everything for case in cases], prepared.doubted)
+
+
+def simulate_costs(
+    problems: Sequence[Problem],
+    everything: Sequence[LabelTable | None],
+    observers: NDArray[np.int64] | None,
+) -> dict[str, Estimate]:
+    """Estimates the costs of explanations by simulated users who are like the observers.
+
+    Args:
+        problems: the problem of each trace, with the belief Open and without questions.
+        everything: P(label is 1) of each trace for a person who believes every fact incorrectly.
+        observers: [K, 3] facts and ways of observers, as in
+            :func:`xplain.learning.mixture.partition.learn_ways`.
+
+    Returns:
+        The mean cost of an explanation with its interval over people, for each explainer of
+        COMPARED; empty without traces or observers.
+    """
+    found: dict[str, list[tuple[float, int]]] = {}
+    people = [] if observers is None else observers.tolist()
+    for index, (problem, table) in enumerate(zip(problems, everything, strict=True)):
+        n = problem.n_messages
+        every, sets = (1 << n) - 1, np.arange(1 << n)
+        assert table is not None, "types are doubtful only if facts are known"
+        labels = table.select_messages([range(n)]).p[..., 0] >= 0.5
+        for name, solver in COMPARED.items():
+            policy = CachedPolicy(solver.plan(problem))
+            for who, (wrong, kept, way) in enumerate(people):
+                known = np.where(sets == every, every, sets & ~kept)
+                own = LabelTable.dense(labels[None, :, known | every & ~wrong].astype(float))
+                person = WAYS[way].meet(own, problem.copies, derive_seed(0, "people", index, who))
+                cost = explain(problem, policy, person, Open()).cost
+                found.setdefault(name, []).append((cost, who))
+    return {name: clustered_mean(*zip(*own, strict=True)) for name, own in found.items()}
+
+
+def describe_costs(costs: Mapping[str, Estimate]) -> str:
+    """Describes the result of :func:`simulate_costs` in one sentence."""
+    if not costs:
+        return "the costs of explanations cannot be estimated, because no trace is known"
+    each = [f"{own.mean:.2f} ± {own.high - own.mean:.2f} with {n}" for n, own in costs.items()]
+    best = min(costs, key=lambda name: costs[name].mean)
+    return f"expected costs for people like the observers: {', '.join(each)}; cheapest: {best}"
 
 
 def with_true_labels(prepared: PreparedData) -> PreparedData:

@@ -59,12 +59,15 @@ class AnswerModel:
         person: [O + 1, E] posterior over :data:`RATES` of each person; the last row is for a person
             without answers.
         ways: [5] shares of people by their way of answering, as in WAYS.
+        observers: [K, 3] facts and ways of K observers, as in
+            :func:`xplain.learning.mixture.partition.learn_ways`; None if unknown.
     """
 
     slip: NDArray[np.float64]
     guess: NDArray[np.float64]
     person: NDArray[np.float64]
     ways: NDArray[np.float64] = field(default_factory=WAYS.copy)
+    observers: NDArray[np.int64] | None = None
 
     @property
     def prior(self) -> NDArray[np.float64]:

@@ -123,6 +123,8 @@ class KnownTypes:
         habits: people's error model, learned from the observers' answers; None if unknown.
         wrong: [N, n] P(a user of the type believes a fact incorrectly); None if unknown.
         new: P(a user has none of the types).
+        doubted: [K, 3] facts and ways of K observers, as in
+            :func:`xplain.learning.mixture.partition.learn_ways`, if the types are doubtful.
     """
 
     learned_types: tuple[str, ...]
@@ -134,6 +136,7 @@ class KnownTypes:
     habits: Habits | None = None
     wrong: NDArray[np.float64] | None = None
     new: float = OPEN
+    doubted: NDArray[np.int64] | None = None
 
 
 def shares_of(drawn: ArrayLike) -> dict[int, float]:

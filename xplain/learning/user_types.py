@@ -97,14 +97,16 @@ class Clusterer(ABC):
         clustering = replace(self, labeler=trainer).cluster(observed, seed)
         types = learn_types(observed.dataset, clustering, trainer, seed)
         landing = learn_landing(observed.dataset, trainer.thoughts(observed.dataset))
-        evidence, answers = types.evidence, types.answers
+        evidence, answers, doubted = types.evidence, types.answers, None
         if evidence is not None and evidence.lost:
             log.warning("%s", evidence)
         if evidence is not None and answers is not None:
             wrong = answers.wrong(observed.dataset.transition, observed.dataset.observer)
             if wrong > NOISY:
                 log.warning(NOISY_TEXT, 100 * wrong)
-        return replace(types, landing=landing)
+                known = types.wrong is not None and types.everything is not None
+                doubted = answers.observers if known else None
+        return replace(types, landing=landing, doubted=doubted)
 
 
 class Perfect(Clusterer):
@@ -146,6 +148,8 @@ class UserTypes:
         everything: the labeler of a person who believes every fact incorrectly; None if facts are
             unknown.
         landing: how often messages are accepted; None if the answers do not show it.
+        doubted: facts and ways of some observers, if the types are doubtful, as in
+            :class:`~xplain.learning.types.KnownTypes`.
     """
 
     labelers: tuple[Labeler, ...]
@@ -156,6 +160,7 @@ class UserTypes:
     evidence: Evidence | None = None
     everything: Labeler | None = None
     landing: AcceptanceModel | None = None
+    doubted: NDArray[np.int64] | None = None
 
     @property
     def habits(self) -> Habits | None:
@@ -304,6 +309,7 @@ def find_types(
         habits=types.habits,
         wrong=types.wrong,
         new=clustering.new,
+        doubted=types.doubted,
     )
     return found, tables
 

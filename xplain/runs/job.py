@@ -29,6 +29,7 @@ from xplain import __version__
 from xplain.errors import InputError, XplainError
 from xplain.experiment.cache import EpisodeCache, source_fingerprint
 from xplain.experiment.config import GROUPS, require_usable
+from xplain.experiment.explanations import describe_costs, estimate_costs
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
 from xplain.experiment.from_config import experiment_of
 from xplain.experiment.progress import SILENT, Progress
@@ -124,6 +125,8 @@ class Job:
         cache = None if self.anew else Path(self.outputs, "cache")
         prepared = experiment.prepare(cache, self.source, progress)
         halfway = time.perf_counter()
+        if prepared.doubted is not None:
+            log.warning("%s", describe_costs(estimate_costs(prepared, experiment.costs)))
         shared = EpisodeCache(cache, self.config)
         prepared, records = experiment.explain_cases(prepared, shared, progress)
         explained = time.perf_counter()

@@ -8,7 +8,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,8 +22,11 @@ from yaml import YAMLError
 
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError, TooLargeError, first_line, one_of
+from xplain.experiment.explanations import describe_costs, simulate_costs
 from xplain.experiment.pipeline import observe
 from xplain.explanation.message_sets import names_of
+from xplain.interaction.explainer import Explainer
+from xplain.interaction.statistics import Estimate
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import is_parquet, read_questions, read_table, write_table
 from xplain.learning.data.observers import Observations
@@ -41,6 +44,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Row = dict[str, Any]
+TRACES = 8
+"""Maximum number of traces for which costs are estimated."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,9 @@ class Discovery:
         answers: the table of questions whose answers are predicted, with the column ``p``, the
             probability of the answer 1; None if there is no such table.
         seconds: duration.
+        costs: expected costs of explanations for traces of the hypotheses
+            (:func:`~xplain.experiment.explanations.simulate_costs`); None if the types are not
+            doubtful.
     """
 
     dataset: Dataset
@@ -63,6 +71,7 @@ class Discovery:
     sentences: dict[str, str]
     answers: pd.DataFrame | None
     seconds: float
+    costs: dict[str, Estimate] | None = None
 
     @property
     def learned(self) -> LearnedTypes:
@@ -192,6 +201,8 @@ class Discovery:
             off = max(abs(one.said - one.ones) for one in unseen.calibration)
             said = f"largest error in a tenth of the held-out labels {off:.3f} (calibration.png)"
             console.print(f"calibration: {said}")
+        if self.costs is not None:
+            console.print(describe_costs(self.costs))
 
 
 def discovery(cfg: DictConfig, folder: Path | None) -> Discovery:
@@ -222,6 +233,12 @@ def discovery(cfg: DictConfig, folder: Path | None) -> Discovery:
     answers = asked and asked[0].assign(p=predict(dataset, types, asked[1]))
     seconds = time.perf_counter() - began
     found = Discovery(dataset, types, unseen, sentences, answers, seconds)
+    if types.doubted is not None and known is not None and known.features is not None:
+        begin, traces = Explainer(found.learned).session, [*known.traces()]
+        rows = [known.features[own].tolist() for own in traces[:: len(traces) // TRACES + 1]]
+        problems = [begin(own).explained.problem for own in rows]
+        everything = [found.learned.everything(own) for own in rows]
+        found = replace(found, costs=simulate_costs(problems, everything, types.doubted))
     if folder is not None:
         found.save(folder)
     return found

@@ -8,7 +8,7 @@ transition τ is ``labels[R \ H, τ]`` (docs/what-to-ask.md).
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -245,6 +245,17 @@ class Hypotheses:
         }
         with open_atomic(Path(path), "wb") as file:
             np.savez_compressed(file, **arrays)
+
+    def traces(self) -> Iterator[list[int]]:
+        """Yields traces: from each state to which no transition leads, the first transition of each
+        state is followed. Yields nothing if states are unknown."""
+        starts, ends = ([], []) if self.states is None else self.states.T.tolist()
+        first = {state: starts.index(state) for state in starts}
+        for state in sorted({*starts} - {*ends}):
+            trace = [first[state]]
+            while (new := first.get(ends[trace[-1]])) is not None and new not in trace:
+                trace.append(new)
+            yield trace
 
     def with_sets(self, facts: NDArray[np.int64]) -> Hypotheses:
         """Returns hypotheses with more candidates. Their prior comes from

@@ -476,8 +476,9 @@ class HypothesisTrainer(LabelerTrainer):
             return self, self.answers, self.evidence
         made = errors_of(known.grown, known.dataset, assignment)
         where = [*known.place, -1]
-        ways = learn_ways(known.known, known.dataset)
-        answers = replace(made, slip=made.slip[where], guess=made.guess[where], ways=ways)
+        answers = replace(made, slip=made.slip[where], guess=made.guess[where])
+        ways, observers = learn_ways(known.known, known.dataset)
+        answers = replace(answers, ways=ways, observers=observers)
         evidence = known.evidence(assignment)
         return (
             replace(self, answers=made, types=assignment, evidence=evidence),

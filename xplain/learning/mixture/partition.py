@@ -35,6 +35,7 @@ from xplain.learning.mixture.likelihood import (
     cell_posterior,
     log_cell,
 )
+from xplain.randomness import stream
 
 ROUNDS, AS_SAID = 30, 5
 """Rounds of expectation maximisation, and the first rounds in which f follows the hypotheses."""
@@ -154,14 +155,19 @@ def errors_of(known: KnownTransitions, answers: Dataset, types: NDArray[np.int64
     return search.learn(search.best_of(types))
 
 
-def learn_ways(known: KnownTransitions, answers: Dataset) -> NDArray[np.float64]:
-    """Estimates the shares [5] of people by their way of answering, as in WAYS.
+def learn_ways(
+    known: KnownTransitions, answers: Dataset
+) -> tuple[NDArray[np.float64], NDArray[np.int64] | None]:
+    """Estimates the shares [5] of people by their way of answering, as in WAYS. Also draws [K, 3]
+    for each of K observers, from the posterior of their facts and way: the bitmask of the facts
+    believed incorrectly, the bitmask of a fact that is kept until all messages are given, and the
+    index of the way (0 with such a fact).
 
     The facts of each observer are summed out. People without incorrect beliefs keep none. People of
     every way also err at the rate WRONG, so that a few wrong answers do not decide the way. The
     next person may be unlike the observers, so each way other than the first keeps at least its
-    assumed share. With more than DENSE facts the result is WAYS, because explanations do not use
-    it.
+    assumed share. With more than DENSE facts the result is WAYS and no observer, because
+    explanations do not use it.
 
     Args:
         known: the hypotheses.
@@ -169,13 +175,13 @@ def learn_ways(known: KnownTransitions, answers: Dataset) -> NDArray[np.float64]
     """
     facts, n = known.hypotheses.facts, known.hypotheses.n_messages
     if n > DENSE:
-        return WAYS
+        return WAYS, None
     who, kept = np.nonzero(bits_of(facts, n))  # each fact that people of a candidate may keep
     prior = known.hypotheses.prior
     prior = np.concatenate([prior, prior[who] / np.bitwise_count(facts)[who]])
     slip, guess = [0, anybody.ERROR, 0, 0.5], [0, anybody.ERROR, anybody.GUESS, 0.5]
     low, high = WRONG + (1 - 2 * WRONG) * np.array([guess, np.subtract(1, slip)])
-    found = []
+    found, joint = [], []
     for rows in answers.rows[:: -(-len(answers.rows) // OBSERVERS)]:
         told, label = answers.message_set[rows], answers.label[rows]
         held = facts[:, None] & ~told
@@ -187,12 +193,19 @@ def learn_ways(known: KnownTransitions, answers: Dataset) -> NDArray[np.float64]
         each += np.log(prior + 1e-300)[:, None]
         whole = np.logaddexp.reduce(each[: len(facts)])
         found.append([*whole, np.logaddexp.reduce([each[0, 0], *each[len(facts) :, 0]])])
+        joint.append(each)
     shares = WAYS
     for _ in range(ROUNDS):
         likely = softmax(np.array(found) + np.log(shares), axis=1)
         shares = (likely.sum(axis=0) + OBSERVERS * WAYS) / (len(found) + OBSERVERS)
     others = np.maximum(shares, WAYS)[1:]
-    return np.array([1 - others.sum(), *others])
+    weight = np.full(joint[0].shape, -np.inf)  # a kept fact has no other way
+    weight[: len(facts)], weight[len(facts) :, 0] = np.log(shares[:4]), np.log(shares[4])
+    rng = stream(0, "observers as people")
+    drawn = [rng.choice(weight.size, p=softmax((one + weight).ravel())) for one in joint]
+    row, way = np.divmod(drawn, 4)
+    wrong, kept = np.append(facts, facts[who])[row], np.append(0 * facts, 1 << kept)[row]
+    return np.array([1 - others.sum(), *others]), np.stack([wrong, kept, way], axis=1)
 
 
 class _Search:
