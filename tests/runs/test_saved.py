@@ -145,10 +145,12 @@ def test_no_file_and_no_line_has_a_servers_password(tmp_path: Path, given: tuple
 
 
 def test_a_folder_may_have_any_letters(tmp_path: Path) -> None:
-    folder = tmp_path / "Anna's 100% thesis"
+    folder = tmp_path / "Anna's 100% thesis? ${a}"
     sweeps.with_solver(folder, "xplain.solvers.greedy.QMDP")
-    output = output_of(folder, *MINE, *sweeps.QUICK[:-3], "lambda=1", sweeps.SERIAL)
-    assert "1 of 1 jobs finished" in output
+    output = output_of(folder, *sweeps.SINGLE, "tracking=mlflow") + output_of(
+        folder, *MINE, *sweeps.QUICK[:-3], "lambda=1", sweeps.SERIAL
+    )
+    assert re.search("folder: outputs/runs/.*MLflow: .*1 of 1 jobs finished", output, re.DOTALL)
 
 
 @pytest.mark.parametrize(

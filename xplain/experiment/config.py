@@ -85,6 +85,16 @@ def register() -> None:
     OmegaConf.register_new_resolver(
         "unique", lambda: secrets.token_hex(3), replace=True, use_cache=True
     )
+    OmegaConf.register_new_resolver(
+        "output_dir", lambda *, _root_: output_dir(_root_.hydra), replace=True
+    )
+
+
+def output_dir(hydra: Any) -> str:
+    """Returns the folder of a run from the ``hydra`` node. Its name may contain "${", which Hydra
+    does not escape."""
+    plain: Any = OmegaConf.to_container(hydra.runtime)
+    return str(plain["output_dir"])
 
 
 def compose_config(name: str, overrides: Sequence[str], with_hydra: bool = False) -> DictConfig:

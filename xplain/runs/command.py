@@ -19,7 +19,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.errors import leave_at_once
-from xplain.experiment.config import CONF, register, report_errors
+from xplain.experiment.config import CONF, output_dir, register, report_errors
 
 register()
 
@@ -42,7 +42,7 @@ def job(cfg: DictConfig) -> float | None:
         # A folder with this run's random token belongs to no other run.
         if is_single and "${unique:}" in OmegaConf.to_yaml(own.run):
             with suppress(OSError):  # the folder is not empty
-                Path(own.runtime.output_dir).rmdir()
+                Path(output_dir(own)).rmdir()
 
 
 def _run_job(cfg: DictConfig, own: Any, is_single: bool) -> float | None:
@@ -59,7 +59,7 @@ def _run_job(cfg: DictConfig, own: Any, is_single: bool) -> float | None:
         print("1 job" + (", done" if made.find_result() else ""))
         return None
     if is_single:
-        folder = Path(own.runtime.output_dir)
+        folder = Path(output_dir(own))
         return run_alone(made, folder, instantiate(cfg.tracking), Stages()).regret
     folder = Path(own.sweep.dir).absolute() / "jobs" / made.fingerprint
     list_job(made, own.overrides.task, folder)

@@ -91,7 +91,8 @@ class MLflow(Disk):
         """
         outputs.mkdir(parents=True, exist_ok=True)
         own = outputs.resolve() / "mlflow.db"
-        uri = self.uri or f"sqlite:///{own}"
+        # SQLAlchemy ends a path at "?". A relative path lacks the names of the folders above.
+        uri = self.uri or f"sqlite:///{os.path.relpath(own) if '?' in str(own) else own}"
         served = uri.startswith("http")
         try:
             with FileLock(outputs / "mlflow.lock"):
@@ -155,7 +156,7 @@ def _make_database(path: Path) -> None:
     """Creates MLflow's tables atomically: an incomplete database could never be used."""
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".mlflow.") as folder:
         new = Path(folder) / path.name
-        MlflowClient(tracking_uri=f"sqlite:///{new}").search_experiments(max_results=1)
+        MlflowClient(f"sqlite:///{os.path.relpath(new)}").search_experiments(max_results=1)
         new.rename(path)
 
 
