@@ -138,16 +138,16 @@ def test_values_arrive_as_they_are_given_and_equal_objects_are_one_job(here: Pat
     given = [("null", every), ("1e3", every), ("1e3", dict([*every.items()][::-1])), ("1e3", other)]
     solvers = [Named(text=text, cells=((6, 2),), fees=fees) for text, fees in given]
     assert solvers[1] == solvers[2]
-    sweep = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=range(2), outputs=here / "a b'c")
+    sweep = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=range(2), outputs=here / "a ${b}'c")
     configs = [run.results.config for run in sweep.runs]
     found = [(own["solver"]["text"], own["solver"]["fees"], own["seed"]) for own in configs]
     wanted = [(*own, seed) for own in (given[0], given[1], given[3]) for seed in (0, 1)]
     assert len(found) == 6
     assert all(own in found for own in wanted)
     assert all(config["solver"]["cells"] == [[6, 2]] for config in configs)
-    assert sweep.folder.is_relative_to(here / "a b'c")
+    assert sweep.folder.is_relative_to(here / "a ${b}'c")
     for seed in (np.arange(2), [np.int64(0), np.int64(1)]):
-        again = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=seed, outputs=here / "a b'c")
+        again = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=seed, outputs=here / "a ${b}'c")
         assert again.folder == sweep.folder
     run = xplain.run(*SMALL, trade_off=np.float32(0.5), message_cost={"goals": 2.0, **FEES})
     assert run.results.config["message_cost"]["goals"] == 2.0

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import sys
 import tempfile
 import threading
@@ -229,18 +230,21 @@ def discover(
 
     Args:
         data: a table with the columns observer, messages, label and features: a file, or a frame.
-        overrides, config_dir, keys: as in :func:`run`, with the keys of conf/discover.yaml. Files
-            are written only if ``output`` is given.
+        overrides, config_dir, keys: as in :func:`run`, with the keys of conf/discover.yaml. A list
+            is one value, such as ``features=["row", "column"]``. Files are written only if
+            ``output`` is given.
 
     Raises:
         XplainError: a table, key or value is not allowed; the text is one line.
     """
-    request = _open_request(overrides, keys, config_dir, "discover")
+    values = {key: [own] if isinstance(own, list | tuple) else own for key, own in keys.items()}
+    request = _open_request(overrides, values, config_dir, "discover")
     with request as (_, axes, compose), tempfile.TemporaryDirectory() as place:
         if isinstance(data, pd.DataFrame):
             frame, data = data, Path(place) / "labels.csv"
             frame.to_csv(data, index=False)
-        cfg = _compose_single(axes | {"data": make_overrides("data", str(data))}, compose)
+        path = make_overrides("data", _make_plain("data", Path(data)))
+        cfg = _compose_single(axes | {"data": path}, compose)
         return discovery(cfg, Path(cfg.output) if "output" in axes else None)
 
 
@@ -322,7 +326,7 @@ def _compose_single(axes: Mapping[str, Sequence[Override]], compose: Compose) ->
         InputError: a key has several values.
     """
     for key, own in axes.items():
-        if len(own) > 1:
+        if len(own) != 1:
             values = [one.value() for one in own]
             raise InputError(key, values, "one value; xplain.sweep accepts several values")
     return compose_values(compose, [one for own in axes.values() for one in own])
@@ -358,7 +362,8 @@ def _make_plain(key: str, value: Any) -> Any:
         if isinstance(own, Mapping):
             return dict(own)
         path = f"{type(own).__module__}.{type(own).__qualname__}"
-        if locate(path) is not type(own) or not (is_dataclass(own) or hasattr(own, "get_params")):
+        described = is_dataclass(own) or hasattr(own, "get_params")
+        if isinstance(own, type) or locate(path) is not type(own) or not described:
             allowed = "a name, or an object of a dataclass at the top level of a module or script"
             raise InputError(key, own, allowed)
         if is_dataclass(own):
@@ -367,4 +372,6 @@ def _make_plain(key: str, value: Any) -> Any:
             }
         return {"_target_": path, **own.get_params(deep=False)}  # a model of scikit-learn
 
-    return json.loads(json.dumps(value, default=describe))
+    # OmegaConf would read ${…} in a text, such as the name of a folder, as another key.
+    text = re.sub(r"(\\*)\$\{", r"\1\1\\\\${", json.dumps(value, default=describe))
+    return json.loads(text)

@@ -141,6 +141,8 @@ class Plan:
             if key.startswith("hydra.sweep."):
                 allowed = "outputs=FOLDER instead: a sweep's folder gets its name from the jobs"
                 raise InputError(key, value, allowed)
+        for key in (key for key, own in axes.items() if not own):
+            raise InputError(key, [], "at least one value")
         keys: Any = OmegaConf.to_container(config.hydra.sweeper)
         params = mapping("hydra.sweeper.params", keys.get("params") or {}, "key: values")
         settings = [{**params, **setting} for setting in keys.get("settings") or [{}]]
