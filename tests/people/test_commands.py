@@ -48,6 +48,7 @@ OF_FILES = ("hydra.searchpath", "types", "key")
         ("study replay", ["broken.sqlite"], "not a study's database"),
         ("study analyse", ["nowhere"], "participants.csv"),
         ("study bots", ["--key", "k", "--url", "http://127.0.0.1:9"], "a running study"),
+        ("study bots", ["--key", "k", "--url", "lab.example.org/"], "a running study"),
         ("collect", ["queries=independent"], "battery or adaptive"),
         ("collect", ["queries=adaptive", "queries.in_turn=true"], "queries.in_turn=True"),
         ("collect", ["briefing=some"], "briefing='some'"),

@@ -131,12 +131,12 @@ class Browser:
             late = time.monotonic() > until
             try:
                 status, content = self.send(path, fields)
-            except (OSError, HTTPException) as error:
+            except (OSError, HTTPException, ValueError) as error:  # ValueError: no URL
                 if late:
                     raise ConnectionError(str(error)) from None
             else:
                 if late or status not in (429, 500, 502):
-                    return status, content.decode()
+                    return status, content.decode(errors="replace")
             time.sleep(0.2)
 
     def send(self, path: str, fields: Fields | None = None) -> tuple[int, bytes]:
@@ -259,7 +259,8 @@ class Bot(Generic[Plan, H]):
     def at_practice(self, page: Page) -> Fields:
         """Answers that the step makes sense only if the page gives the message; a step that needs
         thinking ahead makes sense. The page reports a wrong label, so a bot errs at most once."""
-        right = int(page.stage == "ahead" or self.plan.example.message in page.messages)
+        message = " ".join(self.plan.example.message.split())  # as a browser shows it
+        right = int(page.stage == "ahead" or message in page.messages)
         errs = self.chance(self.habits.mistake) and (page.stage, right) not in self.corrected
         if errs:
             self.corrected.add((page.stage, right))
@@ -304,17 +305,17 @@ class Researcher:
     """
 
     def __init__(self, url: str, key: str) -> None:
-        self.browser = Browser(url, patience=2)
+        self.browser = Browser(url.rstrip("/"), patience=2)
         try:
             status, html = self.browser.post("/researcher/login", [("key", key)])
         except ConnectionError as error:
             raise InputError("--url", url, f"a running study server ({error})") from None
-        if status != 200:
+        self.token = Page.of_html(html).hidden.get("token", "")
+        if status != 200 or not self.token:
             raise InputError("--key", key, "the researcher's key, which the server prints")
-        self.token = Page.of_html(html).hidden["token"]
         # Cookies are below the path of the server's address, which all forms have.
         path = html.partition('/researcher/invitations"')[0].rpartition('"')[2]
-        self.browser.url = urljoin(url, path)
+        self.browser.url = urljoin(self.browser.url, path)
 
     def invite(self, count: int, stream_name: str = "bot") -> list[str]:
         """Creates invitations, and returns their tokens.
