@@ -108,7 +108,7 @@ def exclusions(path: Path | None) -> dict[str, str]:
     if path is None:
         return {}
     table = _read_table("exclude", path, ("participant", "reason"))
-    return dict(zip(table["participant"], table["reason"].astype(str), strict=True))
+    return dict(zip(table["participant"], table["reason"].fillna("").astype(str), strict=True))
 
 
 def analyse_all(
