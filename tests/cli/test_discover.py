@@ -32,6 +32,8 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path) -> No
     assert code == 0
     told = json.loads(out.splitlines()[-1])
     known = pd.read_csv(tmp_path / told["truth"])
+    labels = pd.read_csv(tmp_path / "labels.csv")
+    assert [told[key] for key in ("observers", "labels")] == [len(known), len(labels)]
     assert list(known.columns) == ["observer", "type", "behaves_like"]
 
     (tmp_path / "said.yaml").write_text("fire: Fires can be put out.\n")
@@ -51,7 +53,14 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path) -> No
     assert types.names == tuple(f"type_{t}" for t in range(5))
     assert types.sentences == {"fire": "Fires can be put out."}
     summary = json.loads((tmp_path / "found" / "summary.json").read_text())
-    assert sum(one["labels"] for one in summary["types"]) == told["labels"]
+    labels = labels["label"].groupby(labels["observer"].map(answer["assignment"]))
+    said = " ".join(out.split())
+    for one in summary["types"]:  # the figures of the file and of the printed table
+        own, needs = labels.get_group(one["name"]), ", ".join(one["needs"])
+        counts = (found.count(one["name"]), len(own), pytest.approx(own.mean()))
+        assert (one["observers"], one["labels"], one["explicable"]) == counts
+        shares = f"{own.mean():.1%} {one['confidence']:.3f}"
+        assert f"{one['name']} {needs} {one['observers']} {len(own)} {shares}" in said
     assert [set(one["needs"]) for one in summary["types"]] == [  # types A to E
         {"fire", "rubble"},
         {"first_aid", "fence"},
@@ -66,7 +75,9 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path) -> No
     assert len(tenths) == 10
     assert sum(one["labels"] for one in tenths) == pytest.approx(told["labels"] / 4, rel=0.1)
     off = max(abs(one["said"] - one["ones"]) for one in tenths)
-    assert f"largest error in a tenth of the held-out labels {off:.3f}" in " ".join(out.split())
+    assert f"largest error in a tenth of the held-out labels {off:.3f}" in said
+    for key in ("types", "one_type", "question_mean"):
+        assert f"{key.replace('_', ' ')} {-answer['held_out'][key]:.3f}" in said
 
 
 @pytest.mark.parametrize("method", ["dirichlet", "kmeans", "agglomerative", "single"])
@@ -126,6 +137,8 @@ FILES = {
         ("observe", ("observers.points=0",), "observers.points"),
         ("observe", ("observers.label_noise=2",), "observers.label_noise"),
         ("observe", ("domain=mars",), "unknown choice"),
+        ("observe", ("seed=-1",), "seed"),
+        ("questions", ("seed=-1",), "seed"),
         ("observe", ("queries=magic",), "unknown choice"),
         ("observe", ("queries.trace_length=0",), "queries.trace_length"),
     ],
@@ -203,11 +216,12 @@ def test_told_answers_are_predicted_by_types_and_ones_own_labels(run, tmp_path: 
 
 
 def test_python_is_given_what_the_command_writes(run, tmp_path: Path, monkeypatch) -> None:
-    assert run("observe", "domain=rescue", "output=labels.parquet", "points=30")[0] == 0
-    code, out, _ = run("discover", "data=labels.parquet", "output=there", "seed=3")
+    output = "new/folder/labels.parquet"
+    assert run("observe", "domain=rescue", f"output={output}", "points=30")[0] == 0
+    code, out, _ = run("discover", f"data={output}", "output=there", "seed=3")
     assert code == 0
     monkeypatch.chdir(tmp_path)
-    found = xplain.discover("labels.parquet", seed=3, output=tmp_path / "here")
+    found = xplain.discover(output, seed=3, output=tmp_path / "here")
     row = json.loads(out.splitlines()[-1])
     assert found.row["assignment"] == row["assignment"]
     assert json.loads(json.dumps(found.row["held_out"])) == row["held_out"]
@@ -215,11 +229,13 @@ def test_python_is_given_what_the_command_writes(run, tmp_path: Path, monkeypatc
     assert {path.name for path in (tmp_path / "here").iterdir()} == names
     assert {f"{name}.png" for name in found.plot()} == {n for n in names if n.endswith("png")}
     assert found.frame()["observers"].sum() == len(row["assignment"])
-    frame = pd.read_parquet("labels.parquet")
+    frame = pd.read_parquet(output)
     same = xplain.discover(frame, seed=3, held_out=False, clusterer="kmeans")
     assert same.types.clustering.method == "kmeans"
     assert same.row["held_out_log_likelihood"] is None
+    assert same.dataset.feature_names == found.dataset.feature_names
     one = xplain.discover(frame, ignore=["row"], held_out=False, clusterer=Everybody(weight=2.0))
     assert (one.types.clustering.n_types, "row" in one.dataset.feature_names) == (1, False)
-    with pytest.raises(XplainError, match=r"data='absent\.csv': no such file"):
-        xplain.discover("absent.csv")
+    for words, said in ((("absent.csv",), "no such file"), ((frame, "seed=1,2"), "one value;")):
+        with pytest.raises(XplainError, match=said):
+            xplain.discover(*words)

@@ -45,6 +45,7 @@ OF_FILES = ("hydra.searchpath", "types", "key")
         ("study", ["trace.candidates=0"], "trace.candidates=0"),
         ("study export", ["nothing.sqlite", "out"], "nothing.sqlite"),
         ("study replay", ["nothing.sqlite"], "nothing.sqlite"),
+        ("study backup", ["broken.sqlite", "copy.sqlite"], "broken.sqlite.key beside it"),
         ("study replay", ["broken.sqlite"], "not a study's database"),
         ("study analyse", ["nowhere"], "participants.csv"),
         ("study bots", ["--key", "k", "--url", "http://127.0.0.1:9"], "a running study"),

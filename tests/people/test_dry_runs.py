@@ -259,12 +259,3 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     assert means["messages_given"]["personalized"] < means["messages_given"]["conformant"] - 1
     wrong = means["inexplicable_transitions"]
     assert wrong["personalized"] <= wrong["conformant"]
-
-
-def test_types_that_were_found_are_for_people_as_they_are(types: Path) -> None:
-    with pytest.raises(InputError, match=r"briefing='assigned': none with types"):
-        planned(types)
-    with pytest.raises(InputError, match=r"types=.*types with the messages of four_rooms"):
-        planned(types, "domain=four_rooms", "briefing=none")
-    with pytest.raises(InputError, match=r"briefing='some'"):
-        planned(types, "briefing=some")

@@ -101,9 +101,10 @@ def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(here: Path) -
     again = xplain.load(sweep.folder)
     assert isinstance(again, xplain.Sweep)
     assert again.frame().equals(frame)
-    command = json.loads((sweep.folder / "sweep.json").read_text())["command"]
-    assert command.startswith("python -m xplain -m ")
-    assert "domain=four_rooms" in command
+    about = json.loads((sweep.folder / "sweep.json").read_text())
+    assert about["command"] == " ".join(("python -m xplain -m", SERIAL, *SMALL, "solver=qhr"))
+    named = [{*job["overrides"]} - {*SMALL} for job in about["jobs"]]
+    assert named == [set(), set(), {"solver=qhr"}, {"solver=qhr"}, set(), set()]
 
 
 @pytest.mark.parametrize(
@@ -186,6 +187,7 @@ def test_a_component_of_the_script_itself_runs_in_this_process(here: Path) -> No
     said, jobs = done.stdout.splitlines()
     assert said.startswith("said: solver='__main__.Mine': a component from a file")
     assert jobs == "2 jobs"
+    assert "2 of 2 jobs finished" in done.stderr
 
 
 def test_a_module_that_was_edited_is_refused_until_it_is_loaded_again(

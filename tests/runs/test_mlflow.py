@@ -15,9 +15,10 @@ from tests.runs.sweeps import planned
 from xplain.errors import InputError, XplainError
 from xplain.experiment.results import ElbowFigures, Figure, save_results
 from xplain.report.folder import FAILURE, ListedJob, SweepFolder
+from xplain.report.frame import Summary
 from xplain.runs.folder import without_passwords
 from xplain.runs.job import mark_failed
-from xplain.runs.mlflow import MLflow, sync
+from xplain.runs.mlflow import MLflow, sync, view
 from xplain.runs.sweep import save_sweep
 
 PARENT = "mlflow.parentRunId"
@@ -175,7 +176,7 @@ def test_one_result_in_two_sweeps_is_two_children(client: MlflowClient, outputs:
 
 
 def test_a_view_of_the_sweep_shows_what_was_swept_and_the_measure(
-    client: MlflowClient, folder: SweepFolder
+    client: MlflowClient, folder: SweepFolder, tmp_path: Path
 ) -> None:
     finish(folder, folder.jobs[0])
     send(folder)
@@ -186,9 +187,24 @@ def test_a_view_of_the_sweep_shows_what_was_swept_and_the_measure(
         if key.startswith("mlflow.sharedViewState.")
     )
     assert set(shared) == {"name", "createdAt", "updatedAt", "state"}
-    state = json.loads(shared["state"])
-    assert parent(client).info.run_id in state["searchFilter"]
-    assert state["selectedColumns"][0] == "metrics.`regret`"
+    own = view(parent(client).info.run_id, Summary(folder.path))
+    assert json.loads(shared["state"]) == own
+    (tmp_path / "swept").mkdir()
+    jobs = [{"solver": solver, "lambda": x} for solver in ("qmdp", "qhr") for x in "12"]
+    swept = handmade.sweep(tmp_path / "swept", jobs, lambda values, trace: 0.5)
+    columns = [
+        *("metrics.`regret`", "params.`solver`", "params.`lambda`", "params.`seed`"),
+        *("metrics.`solver/cost`", "metrics.`regret_low`", "metrics.`regret_high`"),
+    ]
+    assert view("one", Summary(swept)) == {
+        "searchFilter": "tags.`mlflow.parentRunId` = 'one'",
+        "orderByKey": "params.`lambda`",
+        "orderByAsc": True,
+        "selectedColumns": columns,
+        "columnOrder": columns,
+        "columnWidths": dict(zip(columns, (80, 80, 80, 80, 112, 104, 112), strict=True)),
+        "runsHiddenMode": "SHOW_ALL",
+    }
 
 
 def test_a_server_that_is_away_costs_a_line_without_its_password(

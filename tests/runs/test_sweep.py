@@ -40,7 +40,15 @@ def results(folder):
 def test_the_end_tells_the_table_and_the_links(finished):
     output = finished.output
     assert "4 of 4 jobs finished" in output
-    for part in ("oracle's cost", "QMDP", "QHR", "report/index.html", "&viewStateShareKey="):
+    folder = f"folder: outputs/sweeps/{sweeps.sweep_folder(finished.folder).name}\n"
+    for part in (
+        folder,
+        "oracle's cost",
+        "QMDP",
+        "QHR",
+        "report/index.html",
+        "&viewStateShareKey=",
+    ):
         assert part in output
     assert (
         "start its server first: mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db"
@@ -98,10 +106,13 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     lost, damaged, other = addresses(folder)[:3]
     lost.unlink()
     damaged.write_text('{"metrics": ')
-    other.write_text(json.dumps(json.loads(other.read_text()) | {"schema": 0}))  # of another one
+    content = json.loads(other.read_text())
+    # It took 3000 s, another one less than a second: so will the other two together.
+    other.write_text(json.dumps(content | {"seconds": {"explain": 3000.0}}))
     output = sweeps.output_of(folder, *sweeps.TINY, sweeps.SERIAL, "dry_run=true")
-    assert "4 jobs: 1 done, 3 to run" in output
-    assert re.search(r"expected time: about \d:\d\d:\d\d for one worker, estimated", output)
+    assert "4 jobs: 2 done, 2 to run" in output
+    assert re.search(r"expected time: about 0:50:0\d for one worker, estimated", output)
+    other.write_text(json.dumps(content | {"schema": 0}))  # of another version
     output = sweeps.output_of(folder, *sweeps.TINY, sweeps.SERIAL)
     assert "3 jobs to run, 1 finished before" in output
     after = results(folder)
@@ -208,7 +219,8 @@ def test_a_key_that_some_solvers_have_varies_where_it_is(tmp_path):
     words = (*sweeps.QUICK[:-3], "lambda=1", "solver.simulations=10,20", sweeps.SERIAL)
     output = sweeps.output_of(tmp_path, *words, "solver=pomcp,qmdp", "dry_run=true")
     assert "solver.simulations: no key of qmdp" in output
-    assert "3 jobs: 0 done, 3 to run" in output
+    labels = ["simulations=10 pomcp", "qmdp", "simulations=20 pomcp"]
+    assert re.findall("^to run +(.*)", output, re.MULTILINE) == labels
     output = sweeps.output_of(tmp_path, *words, "solver=qmdp,qhr", "dry_run=true", code=2)
     assert "solver.simulations: no such key" in output  # a mistake
 

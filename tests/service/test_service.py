@@ -26,7 +26,7 @@ from tests.service.conftest import Direct
 from xplain import discover
 from xplain.learning.data.label_file import read_table
 from xplain.people.service.served import ServedTask
-from xplain.people.service.talks import Talks
+from xplain.people.service.talks import ExplanationTalk, QuestionnaireTalk, Talks
 
 Json = dict[str, Any]
 KINDS = ("session", "questionnaire")
@@ -73,7 +73,12 @@ def go_through(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("wrong", [set(), {"fire", "rubble"}])
 def test_a_talk_restored_before_every_request_goes_on_as_one_that_never_stopped(
-    task: ServedTask, talks: Talks, tmp_path: Path, kind: str, wrong: set[str]
+    task: ServedTask,
+    talks: Talks,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    wrong: set[str],
 ) -> None:
     opened: list[Talks] = []
 
@@ -83,7 +88,10 @@ def test_a_talk_restored_before_every_request_goes_on_as_one_that_never_stopped(
         opened.append(Talks(tmp_path / "restored.sqlite", task))
         return opened[-1]
 
-    whole = go_through(talks, kind, "anna", wrong, steps=10)
+    with monkeypatch.context() as patch:  # what is in memory is not restored
+        for one in (ExplanationTalk, QuestionnaireTalk):
+            patch.setattr(one, "repeat", None)
+        whole = go_through(talks, kind, "anna", wrong, steps=10)
     assert go_through(anew(), kind, "anna", wrong, anew, 10) == whole
     assert len(whole) > 4
     opened[-1].close()
@@ -133,6 +141,8 @@ def test_labels_are_what_discover_reads(service: Direct, tmp_path: Path, talks: 
     with (tmp_path / "types" / "assignment.csv").open(encoding="utf-8") as file:
         types = {row["observer"]: row["type"] for row in csv.DictReader(file)}
     assert len({types[f"p{person}"] for person in range(0, 8, 2)}) == 1
+    summary = json.loads((tmp_path / "types" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["evidence"]["verdict"] == str(found.types.evidence)
     assert types["p0"] != types["p1"]
 
 
@@ -177,6 +187,12 @@ def test_reading_writes_nothing(service: Direct, tmp_path: Path) -> None:
         for path in [*paths, "task/labels?wrong=fire"]:
             assert service.get(path).status_code == 200, path
         assert other.execute("PRAGMA data_version").fetchone() == (before,)
+    assert service.get(f"sessions/{which['questionnaire']}").status_code == 404
+    told = service.get("task").json()
+    for way in ([told["transitions"][t] for t in trace] for trace in told["traces"]):
+        # The robot goes on where it is, on the map.
+        assert [one["to"] for one in way[:-1]] == [one["from"] for one in way[1:]]
+        assert all(0 <= one["to"][0] < told["scene"]["rows"] for one in way)
 
 
 @pytest.mark.parametrize(

@@ -99,13 +99,13 @@ _SOURCE = {*SOURCE, "points"} - {"seed"}
 """Keys that decide data, types and traces."""
 
 
-def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> str:
+def warning_about_oracle(learning: Mapping[str, float], regret: float | None) -> str:
     """Returns up to two warnings: the oracle's labelers are too often wrong for a comparison with
     the oracle, and the regret is below 0. "" if neither is true.
 
     Args:
         learning: figures of the learning stage; for several jobs, the smallest figures.
-        regret: the mean regret; for several jobs, the smallest.
+        regret: the mean regret; for several jobs, the smallest; None if unknown.
     """
     share = learning.get("fresh_accuracy", 1.0)
     no_reference = (
@@ -113,7 +113,7 @@ def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> 
         f"{RIGHT:.0%} of fresh labels, on {share:.1%} at worst. Compare costs with the "
         "clairvoyant's instead."
     )
-    said = {NEGATIVE: regret < 0, no_reference: share < RIGHT}
+    said = {NEGATIVE: regret is not None and regret < 0, no_reference: share < RIGHT}
     return " ".join(text for text, is_true in said.items() if is_true)
 
 

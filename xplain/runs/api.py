@@ -91,7 +91,7 @@ class Run:
     def _repr_html_(self) -> str:
         figures = {name: vars(figure) for name, figure in self.results.metrics.items()}
         shown = pd.DataFrame(figures).T.round(3).to_html(na_rep="", border=0)
-        said = warning_about_oracle(self.results.learning, self.results.regret or 0)
+        said = warning_about_oracle(self.results.learning, self.results.regret)
         return f"<p>{self.results.name}</p>{shown}<p>{said}</p>"
 
 

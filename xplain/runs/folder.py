@@ -48,10 +48,9 @@ def without_passwords(text: str) -> str:
 @contextmanager
 def alone(folder: Path, waiting: str) -> Iterator[None]:
     """Locks a sweep during a block; logs ``waiting`` if another process has the lock."""
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / "sweep.lock")
+    lock = FileLock(folder / "sweep.lock")  # makes the folder too
     try:
-        held = lock.acquire(timeout=1)
+        held = lock.acquire(blocking=False)
     except Timeout:
         log.info("%s: %s", folder.name, waiting)
         held = lock.acquire()
@@ -83,8 +82,6 @@ def runs_and_sweeps(outputs: Path) -> Iterator[Path]:
     """Yields the folders of all finished runs and of all sweeps, oldest path first."""
     for place, folders, files in os.walk(outputs):
         folders[:] = sorted(name for name in folders if name not in _NO_RESULTS)
-        if SWEEP in files:
-            folders.clear()
         if SWEEP in files or RESULTS in files:
             yield Path(place)
 

@@ -89,13 +89,12 @@ class MLflow(Disk):
         Raises:
             XplainError: MLflow fails, or the experiment was deleted there.
         """
-        outputs.mkdir(parents=True, exist_ok=True)
         own = outputs.resolve() / "mlflow.db"
         # SQLAlchemy ends a path at "?". A relative path lacks the names of the folders above.
         uri = self.uri or f"sqlite:///{os.path.relpath(own) if '?' in str(own) else own}"
         served = uri.startswith("http")
         try:
-            with FileLock(outputs / "mlflow.lock"):
+            with FileLock(outputs / "mlflow.lock"):  # makes the folder too
                 if self.uri is None and not own.exists():
                     _make_database(own)
                 client = MlflowClient(uri)
@@ -240,7 +239,7 @@ def _ended(folder: Path, results: Results, name: str, swept: Mapping[str, str]) 
     tags = {
         RESULT_TAG: results.fingerprint,
         "mlflow.source.git.commit": results.git.get("commit", ""),
-        "xplain.warning": warning_about_oracle(results.learning, results.regret or 0),
+        "xplain.warning": warning_about_oracle(results.learning, results.regret),
     }
     times = int(1000 * began), int(1000 * end)
     return folder, "FINISHED", times, name, tags, figures(results), parameters(results, swept)

@@ -310,7 +310,8 @@ def _is_merged(value: Any) -> bool:
 
 def command(config: DictConfig) -> str:
     """Returns the command that starts the same sweep."""
-    given = [*config.hydra.overrides.hydra, *config.hydra.overrides.task]
+    # A sweep from Python has Hydra's own settings in both lists.
+    given = dict.fromkeys((*config.hydra.overrides.hydra, *config.hydra.overrides.task))
     words = [word for word in given if not word.startswith("hydra.mode=")]
     prepared = any(word.startswith("sweeps=") for word in words)
     return shlex.join(["python", "-m", "xplain", *([] if prepared else ["-m"]), *words])

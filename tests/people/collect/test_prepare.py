@@ -11,7 +11,6 @@ from PIL import Image
 from sklearn.metrics import adjusted_rand_score
 
 from tests.people.bare_flow import crowd, truth_of
-from tests.people.street import collection_plan
 from xplain.cli.people import load_config
 from xplain.errors import InputError
 from xplain.experiment.config import CONF, compose_config
@@ -21,7 +20,6 @@ from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.prepare import collect_plan
 from xplain.people.collect.tables import fact_sets
 from xplain.people.material import read_own_table
-from xplain.questions.designs import Battery
 
 TABLE = """text,image,alt,inexplicable_if,floor,place
 Drives over the cable,cable.png,A red cable,cable,0,hall
@@ -117,15 +115,6 @@ def test_pixels_are_kept_and_where_they_were_taken_is_not(folder: Path) -> None:
     assert picture.getpixel((20, 15))[0] > 250  # type: ignore[index]
 
 
-def test_a_list_tells_all_candidates_apart() -> None:
-    plan = collection_plan(Battery(redundancy=1), points=12)
-    known = plan.hypotheses
-    labels = np.array([known.label([t], told)[0, :, 0] for t, told in plan.questions]).T
-    distinct = {tuple(row) for row in labels.tolist()}
-    assert len(distinct) == len(np.unique(known.classes))
-    assert len(plan.questions) == 12
-
-
 OWN_TEXTS = """introduction: [A delivery robot drives through our house.]
 attention: The robot waits for an hour before a wall.
 """
@@ -161,15 +150,6 @@ def rand_index(plan: CollectPlan, people: int, error: float, seed: int) -> float
     """Finds the types of simulated people in their labels; returns the adjusted Rand index."""
     facts, _ = fact_sets(plan, crowd(plan, people, Habits(error=error), seed))
     return float(adjusted_rand_score(truth_of(plan, people), facts))
-
-
-def test_whoever_answers_at_random_cannot_be_sorted() -> None:
-    plan = collection_plan()
-    right = np.mean([rand_index(plan, 12, 0.0, seed) for seed in range(2)])
-    random = np.mean([rand_index(plan, 12, 0.5, seed) for seed in range(2)])
-    assert right == 1.0
-    assert abs(random) < 0.5
-    assert len(set(truth_of(plan, 12).tolist())) == 3
 
 
 @pytest.mark.slow

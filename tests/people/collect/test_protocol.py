@@ -4,7 +4,6 @@ that stay valid on later pages, and the learned habits of listening."""
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -153,20 +152,6 @@ def test_half_of_a_prior_is_what_others_hold_wrong() -> None:
     expected[known.row(np.array(3))] += 0.5 * 0.75
     expected[known.row(np.array(4))] += 0.5 * 0.25
     np.testing.assert_allclose(prior, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("rules", "key"),
-    [
-        ({"repeats": 4}, "rules.repeats"),
-        ({"people": 1}, "rules.people"),
-        ({"timeout_minutes": 0}, "rules.timeout_minutes"),
-        ({"points": 0, "repeats": 0}, "points"),
-    ],
-)
-def test_rules_that_cannot_be_are_named(rules: dict[str, Any], key: str) -> None:
-    with pytest.raises(InputError, match=key):
-        street_collection(**rules)
 
 
 def test_who_cannot_tell_gives_no_evidence_and_is_not_asked_the_same_again() -> None:

@@ -181,9 +181,10 @@ def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -
 
 def test_a_full_disk_is_no_good_health(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     client = newcomer(store).client
-    assert client.get("/alive").status_code == 200
+    assert client.get("/alive").text == "alive\n"
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(application.shutil, "disk_usage", lambda path: usage(10, 10, 0))
+    assert "disk full: 0 bytes left" in client.get("/alive").text
     assert client.get("/alive").status_code == 503
 
 
@@ -209,6 +210,7 @@ def test_after_a_backup_is_restored_nobody_is_lost(
     backup(store.path, tmp_path / "b.sqlite")  # while the server runs
     with pytest.raises(InputError, match="a new file"):
         backup(store.path, tmp_path / "b.sqlite")
+    assert {file.stat().st_mode & 0o777 for file in tmp_path.glob("b.sqlite*")} == {0o600}
     _, _, shown = visitor.answer(page, ("agree", "1"))
     restored = opened(store.flow, name="b")
     visitor.client.app = create_app(restored, GENEROUS)

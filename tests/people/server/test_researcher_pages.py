@@ -54,6 +54,9 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
     assert store.participant(store.enter_invited(tokens[0])).stream == "pilot"
     archive = client.post("/researcher/export", data={"token": token})
     assert archive.data[:2] == b"PK"
+    apart = client.post("/researcher/export", data={"token": token, "what": "identifiers"}).data
+    for name in (b"identifiers/identifiers.csv", b"identifiers/snapshot.sqlite"):
+        assert name in apart
     # Each login has a cookie of its own, and the end of a session ends it.
     again = client.post("/researcher/login", data={"key": store.researcher_key})
     assert again.headers["Set-Cookie"] != first

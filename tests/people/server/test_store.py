@@ -61,6 +61,7 @@ def ids_of(person: str, study: str, session: str) -> dict[str, str]:
 
 PLATFORM = ids_of("P", "S", "X")
 REFUSALS: dict[str, Callable[[Store, str], object]] = {
+    "nobody's page": lambda store, who: store.report("nobody", "a" * 16, []),
     "another page": lambda store, who: store.submit(who, 0, "labels", {"labels": [1]}),
     "another number": lambda store, who: store.submit(who, 3, "read", {}),
     "no choice": lambda store, who: store.submit(who, 0, "consent", {}),

@@ -226,6 +226,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, opened: 
         ({"trace.rows": [1, 2]}, r"trace\.rows=.*: lists of rows"),
         ({"trace.rows": [[1, 2]]}, r"trace\.min_steps=5: 2 steps or fewer"),
         ({"trace.rows": [[6, 6, 6, 6, 6]]}, r"conditions=.* differ on average by one message"),
+        ("+wording.facts.lamp.belief=x", r"wording\.facts\.lamp"),
         ({"types": "others.npz"}, r"types='others\.npz: lane': types with the features"),
         ({"types": "fewer.npz"}, r"types='fewer\.npz: a, b, c': types with the messages"),
     ],

@@ -31,11 +31,7 @@ LARGEST = 1 << 20
 Person = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:@-]{0,99}$")]
 Column = float | Annotated[str, Field(max_length=200, pattern=r"^[^\\x00]*$")]
 Number = Annotated[float, Field(allow_inf_nan=False)]
-Transition = (
-    Annotated[int, Field(strict=True, ge=0)]
-    | Annotated[list[Number], Field(max_length=1000)]
-    | Annotated[dict[str, Column], Field(max_length=1000)]
-)
+Transition = Annotated[int, Field(strict=True, ge=0)] | list[Number] | dict[str, Column]
 Trace = Annotated[list[Transition], Field(max_length=1000)]
 Bit = Annotated[int, Field(ge=0, le=1)]
 Kind = Literal["session", "questionnaire"]

@@ -130,8 +130,7 @@ class ServedTask:
     def candidates(self, trace: Sequence[Sequence[float]]) -> tuple[Candidate, ...]:
         """Lists the transitions that may be asked about while a trace is explained; transitions
         near the trace come first."""
-        known = self.hypotheses
-        if known is None or not self.clips or not trace:
+        if not trace:
             return ()
         order = nearest_first(self.features, np.array(trace))[: self.clips].tolist()
         return tuple(Candidate(self.features[t].tolist(), self.text(t)) for t in order)

@@ -1,6 +1,7 @@
 """The comparison of conditions: Table 2 as scipy computes it, figures about questions, and the
 command that prints and draws both; statistics as published, and as other programs compute them."""
 
+import io
 import re
 from contextlib import closing
 from itertools import combinations
@@ -9,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
 from scipy import stats
 
 from tests.conftest import Run
@@ -18,14 +21,18 @@ from xplain.errors import InputError
 from xplain.people.store import Store
 from xplain.people.study.analysis import (
     MEASURES,
+    TESTS,
+    TITLES,
     analyse,
     analyse_all,
     compare,
     document,
+    draw,
     hedges,
     holm,
     paper_table,
     read,
+    show,
     stratified_permutation,
 )
 from xplain.people.study.bot import Habits, StudyBot
@@ -124,12 +131,18 @@ def completed(n: int) -> pd.DataFrame:
         for i in range(n)
     ]
     bot = rows[0] | {"participant": "bot", "stream": "bot", "interaction_time_s": 1e9}
+    bot["condition"] = "asking"
     return pd.DataFrame([*rows, bot])
 
 
-def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
-    data = completed(20)
+def test_the_table_and_the_picture_are_what_scipy_computes_from_people_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    data, drawn, lines = completed(20), list[Figure](), io.StringIO()
     found = analyse(data, "person", {"conformant3": "was interrupted"})
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    draw(found, tmp_path / "measures.png")
+    show(found, Console(file=lines, width=400))
     assert found.flow.loc["excluded: was interrupted", "all"] == 1
     assert found.flow.loc["analysed", "all"] == len(found.data)
     own = data[(data["stream"] == "person") & (data["participant"] != "conformant3")]
@@ -141,6 +154,21 @@ def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
         assert row["welch_p"] == pytest.approx(welch.pvalue)
         assert (row["n_conformant"], row["n_personalized"]) == (19, 20)
         assert row["mean_conformant"] == pytest.approx(a.mean())
+        (line,) = (
+            one for one in lines.getvalue().splitlines() if f" {TITLES[str(measure)]} " in one
+        )
+        cells = [f"{one.mean():.2f} ({one.std():.2f}), {len(one)}" for one in (a, b)]
+        for p in (float(row[test]) for test in TESTS.values()):
+            cells += ["–" if np.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"]
+        assert [cell.strip() for cell in re.split("[│┃]", line)[2:8]] == cells
+    for axis, measure in zip(drawn[0].axes, MEASURES, strict=True):
+        for name, (mean, _, (bar,)) in zip(paper_table(), axis.containers, strict=False):
+            one = own.loc[own["condition"] == name, measure]
+            ends = stats.t.interval(0.95, len(one) - 1, one.mean(), stats.sem(one))
+            low, high = bar.get_segments()[0][:, 1]
+            assert (*mean.get_ydata(), low, high) == pytest.approx((one.mean(), *ends))
+            stars = [y for star in axis.lines for y in star.get_ydata()]
+            assert paper_table().loc[measure, name] in stars
     assert list(found.measures.index)[:3] == list(paper_table().index)
     with pytest.raises(InputError, match="exclude"):
         analyse(data, "person", {"nobody": "x"})
