@@ -219,8 +219,9 @@ def test_a_key_that_some_solvers_have_varies_where_it_is(tmp_path):
     words = (*sweeps.QUICK[:-3], "lambda=1", "solver.simulations=10,20", sweeps.SERIAL)
     output = sweeps.output_of(tmp_path, *words, "solver=pomcp,qmdp", "dry_run=true")
     assert "solver.simulations: no key of qmdp" in output
-    labels = ["simulations=10 pomcp", "qmdp", "simulations=20 pomcp"]
-    assert re.findall("^to run +(.*)", output, re.MULTILINE) == labels
+    assert re.findall("^to run +(.*)", output, re.MULTILINE) == [
+        *("simulations=10 pomcp", "qmdp", "simulations=20 pomcp")
+    ]
     output = sweeps.output_of(tmp_path, *words, "solver=qmdp,qhr", "dry_run=true", code=2)
     assert "solver.simulations: no such key" in output  # a mistake
 
