@@ -42,7 +42,7 @@ def test_a_belief_that_was_not_found_is_searched_from_there() -> None:
     """The values bound the optimum of this belief, however close the belief is to a known
     belief."""
     rng, unlike = np.random.default_rng(27), 0
-    for _ in range(40):
+    for _ in range(45):
         problem = random_problem(rng)
         policy = Certified(gap=1e-6, decision_nodes=10_000).plan(problem)
         belief = rng.dirichlet(np.ones(problem.n_types))

@@ -12,7 +12,7 @@ from xplain import Clustering, LabelerTrainer, Parameter, Setting, UserType
 from xplain.explanation.actions import EXPLAIN, GiveMessages, give
 from xplain.interaction.explainees import Exact, Reaction
 from xplain.learning.data.queries import Independent
-from xplain.learning.user_types import UserTypes
+from xplain.learning.user_types import Single, UserTypes
 from xplain.solvers.greedy import QMDP
 from xplain.testing import (
     Chosen,
@@ -25,6 +25,7 @@ from xplain.testing import (
     TypeFinderConformance,
     TypeSourceConformance,
 )
+from xplain.testing.data import rule_data
 from xplain.testing.problems import random_problem, with_questions
 
 
@@ -35,10 +36,10 @@ class Wrapped:
         self._whole, self._faults = whole, faults
 
     def __getattr__(self, name):
-        fault = self._faults.get(name)
-        if callable(fault):
+        fault = self._faults[name] if name in self._faults else getattr(self._whole, name)
+        if name in self._faults and callable(fault):
             return lambda *arguments: fault(self._whole, *arguments)
-        return getattr(self._whole, name) if fault is None else fault
+        return fault
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,20 @@ SOLVERS = [
     ("values_belong", Spoilt(values=lambda p, x, v, b: {EXPLAIN: float("nan")})),
     ("values_belong", Spoilt(values=lambda p, x, v, b: {GiveMessages(1 << x.n_messages): 0.0})),
     ("leaves_problem", Spoilt(change_belief)),
-    ("says_nothing", Spoilt(say_all)),
-    ("says_at_once", Spoilt(lambda p, x, v, b: EXPLAIN)),
+    *(
+        ("says_nothing", Spoilt(lambda p, x, v, b, at=at: GiveMessages(1) if at(x, v) else EXPLAIN))
+        for at in (
+            lambda x, v: x.n_steps == 1,
+            lambda x, v: x.n_steps > 4 and v.step == 0,
+            lambda x, v: x.n_steps > 1 and v.step == x.n_steps - 1,
+        )
+    ),
+    *(
+        ("says_at_once", Spoilt(lambda p, x, v, b, action=action: action))
+        for action in (EXPLAIN, GiveMessages(1), GiveMessages(3))
+    ),
     ("explains_a_whole", Spoilt(say_all)),
+    ("explains_a_whole", Spoilt(lambda p, x, v, b: say_all(p, x, v, b) if v.step else EXPLAIN)),
 ]
 
 rescue = Chosen("domain", "rescue").make()
@@ -98,12 +110,19 @@ def count_wrong(values):
     return sum(values[one.name] != one.accurate for one in rescue.parameters)
 
 
+STARTS, ENDS = (
+    set(own)
+    for own in Setting.build(rescue, (UserType("A", {rescue.parameters[0].name: -1.0}),))
+    .reachable[:, [0, 2]]
+    .T.tolist()
+)
 doubled = replace(rescue.parameters[0], message=" ")
 DOMAINS = [
     ("is_a_domain", object()),
     ("named_and_told", Wrapped(rescue, parameters=(doubled, *rescue.parameters[1:]))),
     ("named_and_told", Wrapped(rescue, parameters=(*rescue.parameters, rescue.parameters[0]))),
     ("shares_states", Wrapped(rescue, actions=rescue.actions[:-1])),
+    ("shares_states", Wrapped(rescue, actions=rescue.actions[:1] * len(rescue.actions))),
     ("shares_states", Wrapped(rescue, model=lambda d, v: (d, rooms)[count_wrong(v) > 1].model(v))),
     (
         "function_of_the_values",
@@ -112,12 +131,39 @@ DOMAINS = [
             model=lambda d, values: replace(d.model(values), discount=0.9 + 1e-4 * next(counter)),
         ),
     ),
+    (
+        "function_of_the_values",
+        Wrapped(
+            rescue,
+            model=lambda d, values: replace(
+                d.model(values), reward=d.model(values).reward + next(counter)
+            ),
+        ),
+    ),
+    (  # the same until another model is made
+        "function_of_the_values",
+        Wrapped(
+            rescue,
+            model=lambda d, values, made=[0]: (
+                made.append(count_wrong(values))
+                or replace(d.model(values), discount=9 / 10 ** max(made))
+            ),
+        ),
+    ),
     ("features_describe", Wrapped(rescue, state_features=rescue.state_features[:-1])),
     ("features_describe", Wrapped(rescue, state_features=rescue.state_features * np.nan)),
     ("can_start", Wrapped(rescue, starts=np.array([10**6]))),
     ("message_can_matter", Wrapped(rescue, parameters=(*rescue.parameters, idle))),
     ("transitions_are_told", Wrapped(rescue, describe=lambda d, transition: "a\nb")),
     ("place_for_the_robot", Wrapped(rescue, position=lambda d, state: (99, 0))),
+    ("place_for_the_robot", Wrapped(rescue, scene=None)),
+    *(
+        (
+            "place_for_the_robot",
+            Wrapped(rescue, position=lambda d, s, off=off: (-1, 0) if s in off else d.position(s)),
+        )
+        for off in (STARTS - ENDS, ENDS - STARTS)
+    ),
 ]
 
 first = rescue.parameters[0].name
@@ -195,7 +241,7 @@ LABELERS = [
     ("plain_rule", IGNORANT),
     ("labels_follow", IGNORANT),
     ("same_seed", fits(moody)),
-    ("one_kind", fits(probability=lambda labeler, x, h: np.full(len(x), 0.7))),
+    *(("one_kind", fits(probability=lambda _, x, h, p=p: np.full(len(x), p))) for p in (0.3, 0.7)),
     ("figures", fits(moody)),
 ]
 
@@ -227,6 +273,19 @@ CLUSTERERS = [
     ("any_order", Clusters(lambda d, t: everybody(d, t) + np.arange(len(d.observers)) // 3)),
     ("answer_alike", Clusters(lambda d, t: np.arange(len(d.observers)))),
     ("each_type", Clusters(everybody)),
+    *(
+        (
+            "each_type",
+            Wrapped(Single(), find=lambda s, o, seed, wrong=wrong: wrong(s.find(o, seed))),
+        )
+        for wrong in (
+            lambda types: replace(types, prior=types.prior / 2),
+            lambda types: replace(
+                types,
+                labelers=[Wrapped(types.labelers[0], probability=lambda one, x, h: h == h)],
+            ),
+        )
+    ),
     ("single_observer", Clusters(lambda d, t: np.array([5]))),
 ]
 
@@ -239,6 +298,18 @@ def groups(split):
 PARTITIONS = [
     ("at_most_k", groups(lambda v, k: np.unique(v, axis=0, return_inverse=True)[1].ravel())),
     ("at_most_k", groups(lambda v, k: v[:, 0] * 0)),
+    *(
+        (
+            "at_most_k",
+            groups(
+                lambda v, k, wrong=wrong, count=count: np.minimum(
+                    np.unique(v, axis=0, return_inverse=True)[1].ravel(),
+                    (count if k == wrong else k) - 1,
+                )
+            ),
+        )
+        for wrong, count in ((1, 2), (4, 3))
+    ),
     ("stay_together", groups(lambda v, k: np.arange(len(v)) % k)),
     ("same_groups", groups(lambda v, k: RNG.integers(0, k, len(v)))),
     ("as_they_were", groups(lambda v, k: np.copyto(v, 0))),
@@ -300,34 +371,107 @@ def test_every_promise_has_a_fault_that_breaks_it():
     assert not promises - broken
 
 
+def test_a_solver_is_asked_at_any_step_with_any_messages_and_beliefs() -> None:
+    asked = []
+    SolverConformance().test_gives_messages_that_exist_and_are_new(
+        Spoilt(lambda policy, *situation: asked.append(situation) or EXPLAIN)
+    )
+    shares = [
+        (
+            seen.given == 0,
+            seen.given == (1 << p.n_messages) - 1,
+            seen.step == 0,
+            seen.step == p.n_steps - 1,
+            p.n_types == 3,
+        )
+        for p, seen, _ in asked
+    ]
+    assert all(0.2 < share < 0.8 for share in np.mean(shares, axis=0))
+
+
+def test_a_person_hears_each_message_once_and_sees_one_transition_more_at_each_step() -> None:
+    said = []
+    ExplaineeConformance().test_reacts_with_zeros_and_ones_to_all_that_is_shown(
+        meets(lambda p, new: said.append(new), lambda p, k, out: said.append(-k) or out)
+    )
+    assert said == [0, -1, 1, -2, 2, -3, 4, -4]
+
+
+def test_labels_follow_the_rule() -> None:
+    """A type finds transition i inexplicable until message i mod 4, if it needs this message."""
+    needs = [[0, 3], [], [2]]
+    data, truth = rule_data(np.random.default_rng(0), needs, per_type=2, points=500)
+    assert data.features.tolist() == [[i, i % 4] for i in range(10)]
+    right = [
+        int(kind not in needs[t] or given >> kind & 1)
+        for t, kind, given in zip(
+            data.observer // 2, data.transition % 4, data.message_set, strict=True
+        )
+    ]
+    assert (truth.tolist(), data.label.tolist()) == ([0, 0, 1, 1, 2, 2], right)
+    assert [  # all observers answer the same questions
+        (len(np.unique(own.reshape(6, 500), axis=0)), len(np.unique(own)))
+        for own in (data.transition, data.message_set)
+    ] == [(1, 10), (1, 16)]
+
+
 SOMETIMES = {
-    "a message that costs nothing": lambda p: (p.message_cost == 0).any(),
-    "messages of unequal cost": lambda p: len(set(p.message_cost)) > 1,
-    "labels without a cost": lambda p: p.inexplicability_cost == 0,
-    "no discount": lambda p: p.discount == 1,
-    "a strong discount": lambda p: p.discount < 0.7,
-    "a discount for each action": lambda p: p.discount_per == "action",
-    "certain labels": lambda p: np.isin(p.p_explicable, (0, 1)).all(),
-    "uncertain labels": lambda p: not np.isin(p.p_explicable, (0, 1)).any(),
-    "both together": lambda p: 0 < np.isin(p.p_explicable, (0, 1)).mean() < 1,
-    "a type that nobody has": lambda p: (p.prior == 0).any(),
-    "a repeated transition": lambda p: (
-        p.n_steps > 1 and np.ptp(p.p_explicable[:, [0, -1]], 1).max() == 0
+    "a message that costs nothing": (0.14, lambda p: (p.message_cost == 0).any()),
+    "messages of unequal cost": (0.33, lambda p: len(set(p.message_cost)) > 1),
+    "labels without a cost": (0.15, lambda p: p.inexplicability_cost == 0),
+    "messages without a cost": (0.15, lambda p: p.trade_off == 0),
+    "messages of high cost": (0.28, lambda p: p.trade_off > 4 / 3),
+    "no discount": (0.3, lambda p: p.discount == 1),
+    "a strong discount": (0.35, lambda p: p.discount < 0.5),
+    "a discount for each action": (0.7, lambda p: p.discount_per == "action"),
+    "certain labels": (0.25, lambda p: np.isin(p.p_explicable, (0, 1)).all()),
+    "uncertain labels": (0.5, lambda p: not np.isin(p.p_explicable, (0, 1)).any()),
+    "both together": (0.2, lambda p: 0 < np.isin(p.p_explicable, (0, 1)).mean() < 1),
+    "one confidence": (
+        0.25,
+        lambda p: (
+            np.ptp(np.abs(p.p_explicable - 0.5), axis=(1, 2)).max() < 1e-9
+            and not np.isin(p.p_explicable, (0, 1)).any()
+        ),
     ),
-    "a message without effect": lambda p: len(p.table.effective_of_any()) < p.n_messages,
-    "several types": lambda p: p.n_types > 1,
-    "users who err": lambda p: not p.habits.never_err,
-    "several questions": lambda p: p.questions.limits.most > 1,
-    "questions at the beginning": lambda p: p.questions.limits.when == "first",
-    "a question that costs nothing": lambda p: p.questions.limits.cost == 0,
+    "a type that nobody has": (0.2, lambda p: (p.prior == 0).any()),
+    "a repeated transition": (
+        0.25,
+        lambda p: p.n_steps > 1 and np.ptp(p.p_explicable[:, [0, -1]], 1).max() == 0,
+    ),
+    "a message without effect": (
+        0.15,
+        lambda p: len(p.table.effective_of_any()) < p.n_messages,
+    ),
+    "several types": (0.83, lambda p: p.n_types > 1),
+    "users who err": (0.33, lambda p: not p.habits.never_err),
+    "users who always err": (0.17, lambda p: p.habits.error.min() > 0),
+    "several questions": (0.39, lambda p: p.questions.limits.most > 1),
+    "certain questions": (0.5, lambda p: np.isin(p.questions.table.p, (0, 1)).all()),
+    "similar questions": (
+        0.17,
+        lambda p: (
+            len(p.questions) > 1
+            and (p.questions.table.p[:, -1] == p.questions.table.p[:, 0] ** 2).all()
+        ),
+    ),
+    "questions at the beginning": (0.3, lambda p: p.questions.limits.when == "first"),
+    "a question that costs nothing": (0.15, lambda p: p.questions.limits.cost == 0),
 }
 
 
 def test_random_problems_have_what_has_revealed_errors() -> None:
     rng = np.random.default_rng(0)
     drawn = [with_questions(rng, random_problem(rng)) for _ in range(300)]
-    for what, has in SOMETIMES.items():
-        assert 0.02 < np.mean([has(problem) for problem in drawn]) < 0.98, what
+    for what, (share, has) in SOMETIMES.items():
+        assert abs(np.mean([has(problem) for problem in drawn]) - share) < 0.08, what
+    assert {(p.n_user_types, p.n_steps, p.n_messages) for p in drawn} == {
+        *itertools.product((1, 2, 3), (1, 2, 3), (0, 1, 2))
+    }
+    assert {len(p.questions) for p in drawn} == {1, 2, 3}
+    assert {rate for p in drawn for rate in p.habits.error} == {0.0, 0.1, 0.3}
     for p in drawn:
-        assert min(*p.message_cost, p.trade_off, p.questions.limits.cost) >= 0
+        costs = [*p.message_cost, p.trade_off, p.inexplicability_cost, 8 * p.questions.limits.cost]
+        assert 0 <= min(costs) <= max(costs) < 2
         assert all(((own.p >= 0) & (own.p <= 1)).all() for own in (p.table, p.questions.table))
+        assert bool(p.questions.table.answers.size) == (not p.habits.never_err)

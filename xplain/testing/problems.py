@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import Habits
@@ -14,9 +15,9 @@ def random_problem(
     rng: np.random.Generator, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
 ) -> Problem:
     """Draws a problem with properties that have revealed errors in solvers: unequal costs (some 0),
-    any discount in (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions,
-    messages without effect. If several types are allowed, users in some problems slip and guess,
-    and have one of two error rates."""
+    any discount in (0, 1] (often 1), certain and uncertain labels, prior entries of 0, repeated
+    transitions, messages without effect. If several types are allowed, users in some problems slip
+    and guess, and have one of two error rates."""
     types = int(rng.integers(1, max_types + 1))
     steps = int(rng.integers(1, max_steps + 1))
     n = int(rng.integers(0, max_messages + 1))
@@ -41,18 +42,18 @@ def random_problem(
         prior /= prior.sum()
     problem = Problem(
         table=LabelTable.dense(p),
-        message_cost=np.where(rng.random(n) < 0.15, 0, rng.random(n) * 2),
-        inexplicability_cost=float(rng.choice([0.0, 0.5, 1.0, 2.0], p=[0.05, 0.25, 0.45, 0.25])),
-        trade_off=float(rng.choice([0.0, 0.3, 1.0, 2.5])),
-        discount=float(rng.choice([1.0, 0.95, rng.uniform(0.01, 1.0)])),
+        message_cost=_draw_costs(rng, n),
+        inexplicability_cost=float(_draw_costs(rng)),
+        trade_off=float(_draw_costs(rng)),
+        discount=1.0 if rng.random() < 0.3 else 1.0 - rng.random(),
         prior=prior,
         discount_per="action" if rng.random() < 0.7 else "step",
     )
     if max_types == 1 or types > 2 or rng.random() < 0.5:
         return problem
-    slips, guesses = rng.random((2, steps, 1)) * rng.choice([0.0, 0.5])
+    slips, guesses = rng.random((2, steps, 1)) * rng.integers(2) / 2
     answers = p * (1 - slips) + (1 - p) * guesses
-    rates = np.array([rng.choice([0.0, 0.1]), 0.3])
+    rates = np.array([rng.integers(2) / 10, 0.3])
     erring = replace(problem, table=LabelTable.dense(p, answers))
     habits = Habits(rates, np.ones(2), np.zeros(2), rng.dirichlet(np.ones(2)))
     return erring.with_habits(habits)
@@ -68,7 +69,7 @@ def with_questions(rng: np.random.Generator, problem: Problem, most: int = 3) ->
     if rng.random() < 0.3:
         p[:, -1] = p[:, 0] ** 2
     limits = Limits(
-        cost=float(rng.choice([0.0, 0.02, 0.1, 0.3])),
+        cost=float(_draw_costs(rng)) / 8,
         most=int(rng.integers(1, count + 1)),
         when="anytime" if rng.random() < 0.7 else "first",
     )
@@ -78,3 +79,8 @@ def with_questions(rng: np.random.Generator, problem: Problem, most: int = 3) ->
         table = replace(table, answers=problem.habits.add_errors(meant))
     shows = np.zeros((count, problem.n_steps), np.bool_)
     return replace(problem, questions=Questions(table, limits, shows))
+
+
+def _draw_costs(rng: np.random.Generator, number: int | None = None) -> NDArray[np.float64]:
+    """Draws costs below 2; some are 0. None draws one cost."""
+    return np.where(rng.random(number) < 0.15, 0.0, 2.0 * rng.random(number))

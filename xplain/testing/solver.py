@@ -43,7 +43,7 @@ class SolverConformance(Conformance):
     def test_gives_messages_that_exist_and_are_new(self, component: Any) -> None:
         """The policy gives a bitmask of new messages at any step, history and belief."""
         for problem, questions in self._draw_situations(component):
-            policy = component.plan(problem, 0)
+            policy = component.plan(problem, self.seed)
             for visible, belief in questions:
                 action, given = policy.decide(visible, belief), visible.given
                 assert isinstance(action, Explain | GiveMessages), (
@@ -55,7 +55,7 @@ class SolverConformance(Conformance):
         """A decision does not depend on earlier decisions. Two plans with the same seed decide
         alike."""
         for problem, questions in self._draw_situations(component):
-            policy, other = component.plan(problem, 7), component.plan(problem, 7)
+            policy, other = component.plan(problem, self.seed), component.plan(problem, self.seed)
             first = [policy.decide(*question) for question in questions]
             again = [policy.decide(*question) for question in reversed(questions)]
             others = [other.decide(*question) for question in questions]
@@ -66,7 +66,7 @@ class SolverConformance(Conformance):
         """Each value is finite and belongs to a message set that can be given next. A policy may
         have no values."""
         for problem, questions in self._draw_situations(component):
-            policy = component.plan(problem, 0)
+            policy = component.plan(problem, self.seed)
             for visible, belief in questions:
                 for action, value in policy.values(visible, belief).items():
                     _check_messages(messages_of(action), visible.given, problem)
@@ -76,7 +76,7 @@ class SolverConformance(Conformance):
         """The problem and the belief belong to the caller and must not change."""
         for problem, questions in self._draw_situations(component):
             before = problem.p_explicable.copy()
-            policy = component.plan(problem, 0)
+            policy = component.plan(problem, self.seed)
             for visible, belief in questions:
                 kept = belief.copy()
                 policy.decide(visible, belief)
@@ -89,9 +89,9 @@ class SolverConformance(Conformance):
         if not self.weighs_costs:
             return
         for steps in (1, 5):
-            certain = LabelTable.dense(np.ones((_count_types(component, 2), steps, 4)))
+            certain = LabelTable.dense(np.ones((_count_types(component), steps, 4)))
             problem = Problem(certain, np.ones(2))
-            policy = component.plan(problem, 0)
+            policy = component.plan(problem, self.seed)
             for step in range(steps):
                 action = policy.decide(VisibleState(step), problem.prior)
                 assert action == EXPLAIN, "a message without a gain"
@@ -102,26 +102,28 @@ class SolverConformance(Conformance):
         if not self.weighs_costs:
             return
         good = 1.0 if component.knows == "labels" else 0.95
-        table = np.full((_count_types(component, 2), 4, 4), 1 - good)
-        table[:, :, [2, 3]] = good
-        problem = Problem(LabelTable.dense(table), np.ones(2), trade_off=0.1)
-        policy = component.plan(problem, 0)
+        table = np.full((_count_types(component), 4, 4), 1 - good)
+        table[:, :, 2:] = good
+        problem = Problem(LabelTable.dense(table), np.ones(2))
+        policy = component.plan(problem, self.seed)
         action = policy.decide(VisibleState(), problem.prior)
         assert action == GiveMessages(2), "message 1 alone is worth its cost"
 
     def test_explains_a_whole_trace(self, component: Any) -> None:
         """An episode runs to its end, and a message that costs too much is never given."""
-        rng = np.random.default_rng(4)
+        rng = np.random.default_rng(self.seed)
         for problem, _ in self._draw_situations(component):
-            m, sets = problem.p_explicable.shape[1:]
-            labels = rng.integers(0, 2, (m, sets)).astype(np.uint8)
-            dear = replace(problem, trade_off=1.0, message_cost=np.full(problem.n_messages, 1e6))
+            labels = rng.random(problem.p_explicable[0].shape)
+            dear = replace(problem, trade_off=1e6, message_cost=np.ones(problem.n_messages))
             if component.knows in ("type", "labels"):
-                labels = (problem.p_explicable[0] > 0.5).astype(np.uint8)
+                labels = problem.p_explicable[0]
             for one in (problem, dear):
-                policy = component.plan(one, 0)
+                policy = component.plan(one, self.seed)
                 episode = explain(
-                    one, CachedPolicy(policy), SimulatedUser.of(labels), Independent()
+                    one,
+                    CachedPolicy(policy),
+                    SimulatedUser.of(np.round(labels).astype(np.uint8)),
+                    Independent(),
                 )
                 assert np.isfinite(episode.cost), "the episode has no cost"
                 if one is dear and self.weighs_costs:
@@ -129,9 +131,9 @@ class SolverConformance(Conformance):
 
     def _draw_situations(self, component: Any) -> Iterator[tuple[Problem, list[Question]]]:
         """Yields random problems with random visible states and beliefs."""
-        rng = np.random.default_rng(20)
+        rng = np.random.default_rng(self.seed)
         for _ in range(self.problems):
-            problem = random_problem(rng, _count_types(component, 3), max_steps=4, max_messages=3)
+            problem = random_problem(rng, _count_types(component), max_steps=4, max_messages=3)
             if component.knows == "labels":
                 problem = replace(problem, table=LabelTable.dense(np.round(problem.p_explicable)))
             questions = [
@@ -140,7 +142,7 @@ class SolverConformance(Conformance):
                         int(rng.integers(problem.n_steps)),
                         int(rng.integers(1 << problem.n_messages)),
                     ),
-                    rng.dirichlet(np.full(problem.n_types, 0.5)),
+                    rng.dirichlet(np.ones(problem.n_types)),
                 )
                 for _ in range(4)
             ]
@@ -155,7 +157,6 @@ def _check_messages(new: int, given: int, problem: Problem) -> None:
     assert new >> problem.n_messages == 0, f"{new:b} has a message that does not exist"
 
 
-def _count_types(solver: Solver, several: int) -> int:
-    """Returns the number of types to plan for: ``several`` if the solver plans for several types,
-    otherwise 1."""
-    return several if solver.knows == "types" else 1
+def _count_types(solver: Solver) -> int:
+    """Returns the number of types to plan for: several if the solver knows them, otherwise 1."""
+    return 3 if solver.knows == "types" else 1

@@ -15,9 +15,11 @@ class Conformance:
     Attributes:
         chosen: the choice to test. To test something else, or many choices, override the fixture
             :meth:`component` instead.
+        seed: seed of the component and of the data. Some tests also use the next seeds.
     """
 
     chosen: Chosen
+    seed = 0
 
     @pytest.fixture
     def component(self) -> Any:
