@@ -19,7 +19,7 @@ READY = $(VENV)/.ready
 PIP = $(BIN)/python -m pip install --disable-pip-version-check
 CORES := $(shell getconf _NPROCESSORS_ONLN)
 # A file at a time, in the order of tests/conftest.py: the longest first. Some tests wait more than
-# they compute, so there is a process more than cores; those in a browser mostly wait.
+# they compute, so there is a process more than cores.
 SPREAD = --dist loadfile --no-loadscope-reorder --numprocesses
 
 .PHONY: run test style types tests test-docs test-slow browser-test versions oldest newest mutants lint docs outputs bench bench-quick study ui clean
@@ -46,7 +46,7 @@ test-slow: $(READY)
 # These files alone: each process would read all the others first. They are spread by file, and
 # tests in a class apart.
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) \* 2) --dist loadscope $$(grep -rl --include='*.py' 'mark\.browser' tests)
+	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) + 1) --dist loadscope $$(grep -rl --include='*.py' 'mark\.browser' tests)
 
 # PYTHON is a version here, that uv finds.
 versions: oldest newest

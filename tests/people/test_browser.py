@@ -342,7 +342,7 @@ def test_bots_in_chromium_take_part_hear_new_messages_and_replay_agrees(
             announced.extend(new)
 
     with running(create_app(store, GENEROUS)) as url:
-        for number, invitation in enumerate(store.invite(3, "bot")):
+        for number, invitation in enumerate(store.invite(2, "bot")):
             go_in(driver, url, invitation)
             person = bot_of(study, number, label_noise=0.1)
             assert take_part(driver, person, look=look) == "done"
@@ -351,10 +351,10 @@ def test_bots_in_chromium_take_part_hear_new_messages_and_replay_agrees(
     assert differences(store) == []
     sql = "SELECT count(*) AS n, min(browser) AS low FROM event WHERE kind = 'labels'"
     (times,) = query(store, sql)
-    assert times["n"] == 3 * study.plan.n_steps
+    assert times["n"] == 2 * study.plan.n_steps
     assert times["low"] > 0  # the page's own clock came along
     pages = query(store, "SELECT count(*) AS n FROM event WHERE kind = 'visible'")
-    assert pages[0]["n"] >= 3 * (study.plan.n_steps + 6)
+    assert pages[0]["n"] >= 2 * (study.plan.n_steps + 6)
 
 
 def test_the_keyboard_is_enough(driver: Driver, opened: Opened) -> None:
