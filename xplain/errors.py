@@ -57,6 +57,19 @@ class Refused(Exception):
     """A participant's answer is not accepted. The participant reads the text of this error."""
 
 
+def escape(node: Any) -> Any:
+    """Returns plain data whose texts OmegaConf reads as they are: it would read ``${…}``, for
+    example in the name of a folder, as the name of another key."""
+    match node:
+        case str():
+            return re.sub(r"(\\*)\$\{", r"\1\1\\${", node)
+        case dict():
+            return {key: escape(value) for key, value in node.items()}
+        case list():
+            return [escape(value) for value in node]
+    return node
+
+
 def quote(text: str, mark: str = "'") -> str:
     """Quotes any text for Hydra's overrides: backslashes are doubled only before a quotation
     mark."""

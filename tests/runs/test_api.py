@@ -136,7 +136,12 @@ TEXTS = ["null", "true", "1e3", "ä λ\n", "a\\'b", "${x}".replace("$", "§"), "
 def test_values_arrive_as_they_are_given_and_equal_objects_are_one_job(here: Path) -> None:
     every = dict.fromkeys(TEXTS, 1.0) | {"of": TEXTS}
     other = {"": 1.0}
-    given = [("null", every), ("1e3", every), ("1e3", dict([*every.items()][::-1])), ("1e3", other)]
+    given = [
+        ("null", every),
+        ("1e3", every),
+        ("1e3", dict([*every.items()][::-1])),
+        ("\\${x}", other),
+    ]
     solvers = [Named(text=text, cells=((6, 2),), fees=fees) for text, fees in given]
     assert solvers[1] == solvers[2]
     sweep = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=range(2), outputs=here / "a ${b}'c")

@@ -35,7 +35,7 @@ from omegaconf.errors import (
 )
 from yaml import MarkedYAMLError, YAMLError
 
-from xplain.errors import InputError, XplainError, first_line, one_of, quote
+from xplain.errors import InputError, XplainError, escape, first_line, one_of, quote
 
 _INSIDE = Path(__file__).parents[1] / "conf"
 CONF = _INSIDE if _INSIDE.is_dir() else _INSIDE.parents[1] / "conf"
@@ -73,8 +73,8 @@ def schema() -> DictConfig:
     }
     typed = {key: kind("???") for kind, keys in kinds.items() for key in keys}
     # An absolute path is the same folder in every worker. A path may contain "${".
-    outputs = str(Path.cwd() / "outputs").replace("${", r"\${")
-    return OmegaConf.create({**typed, "outputs": StringNode(outputs)})
+    outputs = StringNode(escape(str(Path.cwd() / "outputs")))
+    return OmegaConf.create({**typed, "outputs": outputs})
 
 
 def register() -> None:

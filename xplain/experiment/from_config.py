@@ -12,7 +12,7 @@ from hydra.utils import get_class, instantiate
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting
-from xplain.errors import InputError
+from xplain.errors import InputError, escape
 from xplain.experiment.cache import SOURCE
 from xplain.experiment.experiment import Experiment
 from xplain.experiment.explanations import Costs
@@ -36,7 +36,8 @@ def component(cfg: Config, group: str, **given: Any) -> Any:
         XplainError, HydraException: the class is missing or incomplete, or refuses a value.
     """
     try:
-        made = instantiate(cfg[group], _partial_=bool(given))
+        # Hydra resolves a configuration before it reads it, so its texts are read twice.
+        made = instantiate(escape(escape(cfg[group])), _partial_=bool(given))
         made = made(**given) if given else made
     except TypeError as error:  # from a user's class with another constructor
         raise InputError(group, cfg[group].get("_target_"), f"a usable class ({error})") from None

@@ -124,7 +124,7 @@ class Questions:
         for own in (self.shows, self.right, self.texts or self.shows):
             if len(own) != count:
                 raise InputError("questions", len(own), f"{count}, as the table has")
-        for text, right in zip(self.texts, self.right.tolist(), strict=False):
+        for text, right in zip(self.texts or [""] * count, self.right.tolist(), strict=True):
             one_of("questions.right", right, (-1, 0, 1))
             if right >= 0 and text.count("\n") != 1:
                 raise InputError("questions.texts", text, "two sentences on two lines")

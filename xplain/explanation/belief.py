@@ -20,8 +20,9 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 
-Evidence = slice | NDArray[np.bool_]
-"""The positions of the prefix whose labels are evidence: a slice, or [k + 1] True or False."""
+Evidence = slice | NDArray[np.bool_] | NDArray[np.int64]
+"""The positions of the prefix whose labels are evidence: a slice, indices, or [k + 1] True or
+False."""
 
 
 OPEN = 0.1
@@ -160,7 +161,7 @@ def update(
         message_set: H, all messages given so far.
         labels: [k + 1] the user's labels of the prefix, 0 or 1; 2 is "cannot tell", which is no
             evidence.
-        evidence: index of the labels that are evidence: a slice, or [k + 1] of bool.
+        evidence: the labels that are evidence.
 
     Returns:
         The new belief, in the same form. Labels that are impossible for all types with positive

@@ -196,9 +196,9 @@ class LabelTable:
         labels."""
         return np.concatenate([self.p, self.answers]) if self.answers.size else self.p
 
-    def subset(self, given: int) -> NDArray[np.int64]:
+    def subset(self, given: int | NDArray[np.int64]) -> NDArray[np.int64]:
         """Returns [N] the index of message set H (``given``) in the middle axis of ``p``, which
-        differs by type."""
+        differs by type; [T, N] for T message sets [T, 1, 1]."""
         messages, bits = self._bits
         where: NDArray[np.int64] = ((given >> messages & 1) * bits).sum(axis=-1)
         return where

@@ -19,7 +19,6 @@ from xplain.explanation.actions import Action, AskQuestion, Explain, GiveMessage
 from xplain.explanation.asking import bitmask
 from xplain.explanation.belief import (
     BeliefUpdate,
-    Evidence,
     update,
     update_by_answer,
     update_by_messages,
@@ -37,7 +36,7 @@ class QuestionAnswered(NamedTuple):
 
 class StepLabelled(NamedTuple):
     """The event that *explain* showed one more transition, and the user labelled all transitions
-    shown so far."""
+    shown so far: 0, 1, or 2 for "cannot tell"."""
 
     labels: tuple[int, ...]
 
@@ -52,9 +51,9 @@ class DialogueState(NamedTuple):
     Attributes:
         visible: step, messages given, and questions asked.
         belief: [S] over the hidden states.
-        known: [m] True for each transition that the user has labelled, or answered a question
-            about, since the last message (or since the last step, if users may forget). Users who
-            repeat themselves label such a transition in the same way again.
+        known: [m] True for each transition that the user has labelled 0 or 1, or answered a
+            question about, since the last message (or since the last step, if users may forget).
+            Users who repeat themselves label such a transition in the same way again.
         pending: the action to which the user has not reacted yet; None before the next decision.
     """
 
@@ -84,16 +83,18 @@ def advance(
             visible = visible._replace(asked=visible.asked | 1 << question)
             return DialogueState(visible, belief, known | shows)
         case StepLabelled(labels):
-            heard, steps = np.array(labels, np.uint8), np.arange(len(known))
-            evidence: Evidence = slice(None)
-            if not belief_update.fresh_labels:  # only labels that people could not repeat
-                evidence = (~known & (problem.copies == steps))[: len(heard)]
-            # After facts were forgotten, the same person may give another label.
-            forgets = bool(problem.habits.forget.any())
+            heard = np.array(labels, np.uint8)
+            told = np.flatnonzero(heard < 2)  # not 2, "cannot tell"
+            first = told[np.unique(problem.copies[told], return_index=True)[1]]
+            # If people repeat themselves, only labels that they could not repeat are evidence.
+            evidence = slice(None) if belief_update.fresh_labels else first[~known[first]]
             return DialogueState(
                 visible._replace(step=len(heard)),
                 update(problem, belief, visible.given, heard, evidence),
-                np.zeros_like(known) if forgets else known | (steps < len(heard)),
+                # After facts were forgotten, the same person may give another label.
+                np.zeros_like(known)
+                if problem.habits.forget.any()
+                else known | np.isin(problem.copies, problem.copies[first]),
             )
         case _:
             messages = messages_of(event)

@@ -94,7 +94,8 @@ class Labeler(Protocol):
         """Computes [T] P(label = 1) of each pair (transition [T, F], message set [T]), strictly
         between 0 and 1."""
         distinct, where = np.unique(features, axis=0, return_inverse=True)
-        return self.table(distinct).array(self.n_messages)[0][where.ravel(), message_sets]
+        table = self.table(distinct)
+        return table.p[where.ravel(), table.subset(message_sets[:, None, None])[:, 0], 0]
 
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]

@@ -64,6 +64,7 @@ def overview(visit: Visiting) -> Response:
         now=store.clock.wall(),
         stages=(*flow.stages, *flow.STATE.ENDS),
         flow=counted,
+        part=flow.part,
         streams=[name for name in STREAMS if any(one == name for one, _ in counted)],
         entrance=f"{site.server.address.rstrip('/') or host}/",
         local=(urlsplit(site.server.address).hostname or visit.host) in LOOPBACK,

@@ -312,7 +312,8 @@ def texts_of(kind: str, wording: Mapping[str, Any], in_words: InWords = str) -> 
 
 
 def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
-    """Makes a function that turns a domain's phrases into texts for people.
+    """Makes a function that turns a domain's phrases into texts for people, with single spaces, as
+    browsers show them.
 
     Args:
         phrases: parts of phrases with their replacements; the longest match is used.
@@ -327,7 +328,9 @@ def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
         return cell_name(*(int(number) for number in found.groups() if number is not None))
 
     def in_words(text: str) -> str:
-        return re.sub(cell, named, re.sub(pattern, lambda found: phrases[found[0]], text))
+        return " ".join(
+            re.sub(cell, named, re.sub(pattern, lambda found: phrases[found[0]], text)).split()
+        )
 
     return in_words
 

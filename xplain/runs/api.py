@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 import sys
 import tempfile
 import threading
@@ -33,7 +32,7 @@ from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
 from omegaconf import DictConfig
 
-from xplain.errors import InputError, XplainError, one_of
+from xplain.errors import InputError, XplainError, escape, one_of
 from xplain.experiment.config import (
     GROUPS,
     PYTHON,
@@ -372,6 +371,4 @@ def _make_plain(key: str, value: Any) -> Any:
             }
         return {"_target_": path, **own.get_params(deep=False)}  # a model of scikit-learn
 
-    # OmegaConf would read ${…} in a text, such as the name of a folder, as another key.
-    text = re.sub(r"(\\*)\$\{", r"\1\1\\\\${", json.dumps(value, default=describe))
-    return json.loads(text)
+    return escape(json.loads(json.dumps(value, default=describe)))

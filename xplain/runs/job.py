@@ -26,12 +26,12 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, escape
 from xplain.experiment.cache import EpisodeCache, source_fingerprint
 from xplain.experiment.config import GROUPS, require_usable
 from xplain.experiment.explanations import describe_costs, estimate_costs
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
-from xplain.experiment.from_config import experiment_of
+from xplain.experiment.from_config import COSTS, experiment_of
 from xplain.experiment.progress import SILENT, Progress
 from xplain.experiment.results import (
     EPISODES,
@@ -55,6 +55,9 @@ OTHER_CODE = (
     "this worker has other code, libraries, data or files of choices than the process that started "
     "the sweep: update the worker, and start the command again"
 )
+_ESTIMATED: set[tuple[str, str]] = set()
+"""Data sets and costs whose estimated costs of explanations this process has logged. The jobs of a
+sweep with other solvers have the same estimate."""
 
 
 @dataclass(frozen=True)
@@ -124,9 +127,12 @@ class Job:
         experiment = experiment_of(self.config)
         cache = None if self.anew else Path(self.outputs, "cache")
         prepared = experiment.prepare(cache, self.source, progress)
-        halfway = time.perf_counter()
-        if prepared.doubted is not None:
+        prepared_in = time.perf_counter() - begun
+        about = self.source, json.dumps([self.config[key] for key in COSTS])
+        if prepared.doubted is not None and about not in _ESTIMATED:
+            _ESTIMATED.add(about)
             log.warning("%s", describe_costs(estimate_costs(prepared, experiment.costs)))
+        halfway = time.perf_counter()
         shared = EpisodeCache(cache, self.config)
         prepared, records = experiment.explain_cases(prepared, shared, progress)
         explained = time.perf_counter()
@@ -139,7 +145,7 @@ class Job:
             git=git_state(),
             worker=f"{socket.gethostname()} {os.getpid()}",
             started=started,
-            seconds={"prepare": halfway - begun, "explain": explained - halfway},
+            seconds={"prepare": prepared_in, "explain": explained - halfway},
             choices=self.choices,
             config=self.config,
         )
@@ -201,7 +207,7 @@ def run_alone(
     except SystemExit as error:
         raise XplainError(name_ending(error)) from error
     save_results(folder, results)  # with the certificates
-    write_text(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(dict(job.config))))
+    write_text(folder / "config.yaml", OmegaConf.to_yaml(escape(dict(job.config))))
     if shown:
         with attempt("the certificates were not printed"):
             print_certificates(results.bounds)

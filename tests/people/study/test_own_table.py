@@ -66,7 +66,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     rows[1:] = [f"{row}," for row in rows[1:]]
     own = "\n".join(["text,inexplicable_if,place,image,alt", *rows])
     (tmp_path / "own.csv").write_text(f"{own}\n")
-    said = [f"{fact},The {fact} is so.,The {fact} is not so." for fact in FACTS]
+    said = [f"{fact},The  {fact} is so.,The {fact} is not so." for fact in FACTS]
     (tmp_path / "facts.csv").write_text("\n".join(["fact,message,belief", *said]) + "\n")
     (tmp_path / "red.png").write_bytes(PIXEL)
     save_types(tmp_path / "types.npz", "place")

@@ -183,13 +183,19 @@ def learn_ways(
     low, high = WRONG + (1 - 2 * WRONG) * np.array([guess, np.subtract(1, slip)])
     found, joint = [], []
     for rows in answers.rows[:: -(-len(answers.rows) // OBSERVERS)]:
-        told, label = answers.message_set[rows], answers.label[rows]
-        held = facts[:, None] & ~told
-        stuck = held[who] | np.where(told == (1 << n) - 1, 0, 1 << kept[:, None])
-        row = known.hypotheses.row(np.concatenate([held, stuck]))
-        f = known.share[0][row, answers.transition[rows]][..., None]
-        one = f * high + (1 - f) * low  # [sets, answers, first four ways]
-        each = np.log(np.where(label[:, None] == 1, one, 1 - one)).sum(axis=1)
+        each = np.zeros((len(prior), 4))  # [sets, first four ways]
+        for t, told, label in zip(
+            answers.transition[rows],
+            answers.message_set[rows],
+            answers.label[rows],
+            strict=True,
+        ):
+            f = known.share[0][:, t, None]
+            one = f * high + (1 - f) * low
+            log_p = np.log(one if label else 1 - one)
+            stuck = 0 if told == (1 << n) - 1 else 1 << kept
+            each[: len(facts)] += log_p[known.hypotheses.row(facts & ~told)]
+            each[len(facts) :, 0] += log_p[known.hypotheses.row(facts[who] & ~told | stuck), 0]
         each += np.log(prior + 1e-300)[:, None]
         whole = np.logaddexp.reduce(each[: len(facts)])
         found.append([*whole, np.logaddexp.reduce([each[0, 0], *each[len(facts) :, 0]])])

@@ -90,7 +90,9 @@ def read_known(wording: Mapping[str, Any]) -> tuple[Parameter, ...]:
     """Reads the facts that everybody is told (``known``), each with its true sentence ``right`` and
     a false sentence ``wrong``."""
     return tuple(
-        Parameter(f"known_{i}", True, False, one["right"], one["wrong"])
+        Parameter(
+            f"known_{i}", True, False, *(" ".join(one[key].split()) for key in ("right", "wrong"))
+        )
         for i, one in enumerate(wording["known"])
     )
 
