@@ -43,7 +43,7 @@ def test_it_plays_the_experiments_episode(rescue, user, more):
     person = scene.explainee.meet(
         truth.of_types([place]), same, derive_seed(scene.explainer.seed, "explainee", user)
     )
-    problem = scene.session()._talk.problem
+    problem = scene.session().explained.problem
     episode = explain(problem, CachedPolicy(QMDP().plan(problem)), person, Independent())
     played = play(scene, user)
     assert episode.messages.tolist() == [

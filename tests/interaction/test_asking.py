@@ -191,7 +191,7 @@ def test_a_belief_is_asked_by_its_two_sentences_in_their_order() -> None:
         ASKING.session([0], clips=[replace(clip, text="one")])
     for right in (0, 1):  # the label of its transition is no answer
         session = ASKING.session([1, 0], clips=[replace(clip, right=right)])
-        assert not session._talk.problem.questions.shows.any()
+        assert not session.explained.problem.questions.shows.any()
 
 
 def test_a_trace_that_grows_keeps_what_was_asked() -> None:
@@ -204,7 +204,7 @@ def test_a_trace_that_grows_keeps_what_was_asked() -> None:
         session.extend([1, 0])
         assert session.belief == pytest.approx(before)
         assert session.cost == cost
-        assert session._talk.problem.questions.shows.tolist() == [[False, True, False]]
+        assert session.explained.problem.questions.shows.tolist() == [[False, True, False]]
 
 
 def test_a_copy_of_a_transition_is_no_news_where_people_repeat_themselves() -> None:

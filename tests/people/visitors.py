@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import sqlite3
+import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 from http.cookies import SimpleCookie
 from json import dumps, loads
+from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlencode, urlsplit
 
@@ -213,8 +217,17 @@ def differences(store: Store) -> list[str]:
     return find_differences(store.flow, store.everybody())
 
 
+@contextmanager
+def copied(store: Store) -> Iterator[sqlite3.Connection]:
+    """Opens a copy of a store's database."""
+    with tempfile.TemporaryDirectory() as folder:
+        store.snapshot(path := Path(folder, "copy.sqlite"))
+        with closing(sqlite3.connect(path)) as copy:
+            yield copy
+
+
 def query(store: Store, sql: str, values: Any = ()) -> list[dict[str, Any]]:
-    """Returns rows of the database that a store has open."""
-    found = store._connection.execute(sql, values)
-    names = [column[0] for column in found.description]
-    return [dict(zip(names, row, strict=True)) for row in found]
+    """Returns rows of a store's database."""
+    with copied(store) as copy:
+        copy.row_factory = sqlite3.Row
+        return [dict(row) for row in copy.execute(sql, values)]

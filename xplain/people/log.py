@@ -66,7 +66,7 @@ NO_TIME = "wall = 0, monotonic = 0, boot = ''"
 NO_KIND = "state = iif(kind = 'erase', state, NULL), kind = iif(kind = 'erase', kind, 'erased')"
 PRAGMAS = (
     *("journal_mode=WAL", "synchronous=FULL"),
-    *("recursive_triggers=ON", "secure_delete=ON"),  # REPLACE fires triggers; erases bytes
+    "secure_delete=ON",  # erases bytes
 )
 
 
