@@ -1,12 +1,22 @@
 """Errors are one line with key, value and what is allowed."""
 
 import pickle
+import signal
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import pytest
 
-from xplain.errors import Count, InputError, Range, checks, number, one_of, whole_number
+from xplain.errors import (
+    Count,
+    InputError,
+    Range,
+    checks,
+    leave_at_once,
+    number,
+    one_of,
+    whole_number,
+)
 
 
 def test_a_long_value_keeps_both_ends() -> None:
@@ -23,6 +33,14 @@ def test_an_error_comes_whole_out_of_another_process() -> None:
     again = pickle.loads(pickle.dumps(error))
     assert (again.key, again.value, again.allowed) == ("lambda", -1, "a number ≥ 0")
     assert str(again) == str(error)
+
+
+def test_ctrl_c_leaves_at_once_while_libraries_load_unless_another_handler_is_there() -> None:
+    for before in (signal.SIG_IGN, signal.default_int_handler):
+        signal.signal(signal.SIGINT, before)
+        with leave_at_once():
+            assert (signal.getsignal(signal.SIGINT) == before) == (before == signal.SIG_IGN)
+        assert signal.getsignal(signal.SIGINT) == before
 
 
 @pytest.mark.parametrize("value", [True, "1", None, float("nan"), float("inf")])

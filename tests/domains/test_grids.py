@@ -2,6 +2,7 @@
 input of both."""
 
 from collections import Counter
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -19,6 +20,7 @@ sApF
 .#.f
 SVrU
 """
+ROWS = MAP.strip().split("\n")
 
 
 def parameters(**inaccurate: float) -> dict[str, dict[str, Any]]:
@@ -37,13 +39,13 @@ def rescue(**changes: Any) -> Rescue:
 class Rules:
     """The rules in plain Python: cell, bonuses done, rewards; ``+`` uses the item in the cell."""
 
-    def __init__(self, start: tuple[int, int]) -> None:
-        self.cell, self.ended = start, False
+    def __init__(self, start: tuple[int, int], rows: Sequence[str] = ROWS) -> None:
+        self.cell, self.rows, self.ended = start, rows, False
         self.done: set[str] = set()
 
     @property
     def here(self) -> str:
-        return ROWS[self.cell[0]][self.cell[1]]
+        return self.rows[self.cell[0]][self.cell[1]]
 
     def can_act(self) -> bool:
         return self.here in "AFUV" and self.here not in self.done
@@ -54,8 +56,8 @@ class Rules:
             self.done.add(self.here)
             return VALUES.get(REWARD.get(self.here, ""), 0.0)
         (r, c), (dr, dc) = self.cell, STEPS[action]
-        inside = 0 <= r + dr < len(ROWS) and 0 <= c + dc < len(ROWS[0])
-        if not inside or ROWS[r + dr][c + dc] == "#":
+        inside = 0 <= r + dr < len(self.rows) and 0 <= c + dc < len(self.rows[0])
+        if not inside or self.rows[r + dr][c + dc] == "#":
             return 0.0
         self.cell = r + dr, c + dc
         self.ended = self.here == "S" and "V" in self.done
@@ -64,7 +66,6 @@ class Rules:
 
 
 STEPS = {"u": (-1, 0), "d": (1, 0), "l": (0, -1), "r": (0, 1)}
-ROWS = MAP.strip().split("\n")
 USE = {"A": "pick_up_first_aid", "F": "extinguish_fire", "U": "refuel", "V": "pick_up_victim"}
 MOVES = {"u": "up", "d": "down", "l": "left", "r": "right"}
 VALUES = {name: 0.25 * (i + 1) for i, name in enumerate(REWARD.values())}
@@ -74,10 +75,11 @@ VALUES = {name: 0.25 * (i + 1) for i, name in enumerate(REWARD.values())}
 def test_the_model_plays_by_the_rules(seed: int) -> None:
     """Walks of 300 actions, or to the shelter, start in every cell in turn; together they meet
     walls and edges from every kind of cell, with and without the victim."""
-    domain, rng = rescue(), np.random.default_rng(seed)
+    rows = [row[:: (-1) ** seed] for row in ROWS]  # each second map is its mirror image
+    domain, rng = rescue(map="\n".join(rows)), np.random.default_rng(seed)
     cells = len(domain.grid.cells)
     state = len(domain.state_features) // cells * (seed % cells)
-    model, rules = domain.model(VALUES), Rules(domain.position(state))
+    model, rules = domain.model(VALUES), Rules(domain.position(state), rows)
     for _ in range(300):
         assert np.count_nonzero(model.probability[state, 4:]) == rules.can_act()
         letter = str(rng.choice([*"udlr", *("++" if rules.can_act() else "")]))

@@ -55,6 +55,8 @@ def test_their_labels_are_those_of_the_task_that_they_believe_in(explainee: Expl
     domain, names = components.domain, observed.messages
     assert others.types
     for t, name in enumerate(others.types):
+        parts = name.removeprefix("unseen ").split("+")
+        assert len(parts) == len(set(parts))
         assert others.distinct[t] not in observed.distinct
         for given in (0, 1, 21, 63):
             told = {names[j] for j in range(6) if given >> j & 1}

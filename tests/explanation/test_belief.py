@@ -221,8 +221,9 @@ def test_second_opinions_come_after_every_kind() -> None:
 
 
 def test_the_nearest_differ_in_the_fewest_features() -> None:
-    trace = np.array([[0.0, 0.0], [5.0, 1.0]])
-    clips = np.array([[4.0, 7.0], [5.0, 1.0], [10.0, 1.0], [3.0, 1.0]])
+    """A feature with one value alone does not matter."""
+    trace = np.array([[0.0, 0.0, 2.0], [5.0, 1.0, 2.0]])
+    clips = np.array([[4.0, 7.0, 2.0], [5.0, 1.0, 2.0], [10.0, 1.0, 2.0], [3.0, 1.0, 2.0]])
     assert nearest_first(clips, trace).tolist() == [1, 3, 2, 0]  # in 0, 1, 1 and 2 features
 
 

@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.habits import Assumed, Habits, check_assumed, habits_of
+from xplain.explanation.habits import Assumed, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
@@ -111,8 +111,7 @@ class HabitsBelief:
 
     def __post_init__(self) -> None:
         """Raises InputError for a setting out of its range."""
-        for key in ("error", "accept", "forget"):
-            check_assumed(key, getattr(self, key))
+        self.habits()
 
     def habits(self, learned: Habits | None = None) -> Habits:
         """Returns the habits with the assumed rates. A rate whose setting is ``"learned"`` is taken

@@ -135,7 +135,7 @@ def habits_of(
     """
     grids = []
     for key, assumed in (("error", error), ("accept", accept), ("forget", forget)):
-        check_assumed(key, assumed)
+        _check_assumed(key, assumed)
         if isinstance(assumed, Mapping):
             whole = sum(assumed.values())
             grids.append([(float(rate), share / whole) for rate, share in assumed.items()])
@@ -151,7 +151,7 @@ def habits_of(
     return Habits(e, a, f, prior)
 
 
-def check_assumed(key: str, assumed: Assumed) -> None:
+def _check_assumed(key: str, assumed: Assumed) -> None:
     """Raises InputError if a setting is not ``learned``, a rate in its range, or a mapping from
     such rates to shares."""
     if assumed == "learned":
