@@ -48,6 +48,7 @@ def server(sweep):
         process = processes.start(
             [sys.executable, "-m", "mlflow", "ui", "--workers", "1", *arguments],
             cwd=folder,
+            env=os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"},  # six processes
             stdout=log,
             stderr=log,
         )
