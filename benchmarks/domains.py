@@ -22,6 +22,8 @@ from omegaconf import OmegaConf
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
+from rescue_maps import random_map
+
 from tests.domains.properties import (
     Trace,
     count_traces,
@@ -30,7 +32,6 @@ from tests.domains.properties import (
     problems,
     share_through,
 )
-from tests.domains.rescue_maps import random_map
 from xplain.domains.four_rooms import DOORS
 from xplain.domains.rescue import Rescue
 from xplain.domains.users.setting import Setting

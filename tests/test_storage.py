@@ -59,8 +59,7 @@ def test_a_value_survives_json_to_the_last_bit(apart):
     text = json.dumps(encode(VALUE, arrays))
     again = decode(Outer, json.loads(text), arrays)
     assert again.numbers.tobytes() == VALUE.numbers.tobytes()
-    assert again.numbers.dtype == np.float64
-    assert again.labels.dtype == np.uint8
+    assert (again.numbers.dtype, again.labels.dtype) == (np.float64, np.uint8)
     assert again.labels.tolist() == [1, 0]
     for field in ("alone", "inner", "several", "pair", "by_name", "plain"):
         assert getattr(again, field) == getattr(VALUE, field)

@@ -95,8 +95,6 @@ def test_the_corridor_is_as_by_hand() -> None:
     # Silence: type "left" labels 0 each of m transitions, m + … + 1 times in all: 10, 6, 3, 1.
     # Type "toll" labels 0 the step from cell 2: shown 3 times, 3 times, never, never.
     assert found.worth.tolist() == [[True, True], [True, True], [True, False], [False, False]]
-    assert found.tables == 4
-    assert found.commonest == 0.25
-    assert found.puzzling == 0.5
+    assert (found.tables, found.commonest, found.puzzling) == (4, 0.25, 0.5)
     assert count_traces(setting) == 4
     assert inexplicable_alone(domain, traces) == {"end": 1.0, "toll": pytest.approx(2 / 10)}

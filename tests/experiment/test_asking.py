@@ -89,8 +89,10 @@ def test_an_episode_costs_its_questions_too(
     for record in records:
         episode, asked = record.episode, prepared.cases[record.trace].questions
         paid = costs.trade_off * episode.n_messages + episode.n_inexplicable
-        assert episode.cost == pytest.approx(paid + price * episode.n_questions)
-        assert episode.asking == pytest.approx(price * episode.n_questions)
+        assert (episode.cost, episode.asking) == (
+            pytest.approx(paid + price * episode.n_questions),
+            pytest.approx(price * episode.n_questions),
+        )
         for step, question, answer in episode.questions.tolist():
             given = int(np.bitwise_or.reduce(episode.messages[:step], initial=0))
             labels = asked.labels.label_probabilities(question + 1, given)

@@ -195,8 +195,10 @@ def test_traces_are_walks_of_the_robot_from_a_start_to_the_end_or_the_limit(prep
         assert len(walk) == 7 or setting.models[0].terminal[walk[-1, 2]]
         assert np.array_equal(case.labels.array(6), setting.label_table(walk))
         states = [*walk[:, 0], walk[-1, 2]]
-        assert case.positions == tuple(domain.position(int(state)) for state in states)
-        assert case.phrases == tuple(domain.describe(step) for step in walk)
+        assert (case.positions, case.phrases) == (
+            tuple(domain.position(int(state)) for state in states),
+            tuple(domain.describe(step) for step in walk),
+        )
 
 
 def test_a_trace_depends_on_the_seed_and_its_index_alone(prepared):

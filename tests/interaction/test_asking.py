@@ -136,7 +136,6 @@ ASKING = Explainer(TYPES, trade_off=0.5, discount=1.0, ask=Limits(cost=0.01))
 def test_it_asks_says_and_shows_in_turn() -> None:
     session = ASKING.session([0, 0, 0], clips={"refuels": 1})
     question = session.next()
-    assert isinstance(question, Question)
     assert (question.about, question.replies) == ("refuels", (("yes", 1), ("no", 0)))
     why = session.why()
     assert why.chosen == question
@@ -185,7 +184,6 @@ def test_who_never_asks_is_given_no_clips() -> None:
 def test_a_belief_is_asked_by_its_two_sentences_in_their_order() -> None:
     clip = Candidate(1, "It needs fuel.\nIt needs none.", right=1)
     question = ASKING.session([0, 0, 0], clips=[clip]).next()
-    assert isinstance(question, Question)
     assert question.replies == (("It needs fuel.", 0), ("It needs none.", 1))
     with pytest.raises(InputError, match="two sentences"):
         ASKING.session([0], clips=[replace(clip, text="one")])
@@ -202,8 +200,7 @@ def test_a_trace_that_grows_keeps_what_was_asked() -> None:
         session.answer(0)
         before, cost = session.belief, session.cost
         session.extend([1, 0])
-        assert session.belief == pytest.approx(before)
-        assert session.cost == cost
+        assert (session.belief, session.cost) == (pytest.approx(before), cost)
         assert session.explained.problem.questions.shows.tolist() == [[False, True, False]]
 
 

@@ -279,7 +279,6 @@ def test_learned_types_keep_their_facts_in_a_file(tmp_path: Path) -> None:
     assert loaded.habits.ways.tolist() == learned.habits.ways.tolist() != WAYS.tolist()
     for types in (learned, loaded):
         everything = types.everything(features.tolist())
-        assert everything is not None
         one = everything.array(N)[0]
         np.testing.assert_allclose(one, np.where(labels[7 & ~SETS].T, 0.998, 0.002))
         assert isinstance(Explainer(types).beliefs, Open)

@@ -73,8 +73,10 @@ def test_figures_by_hand(name, each):
     half = stats.t.ppf(0.975, 2) * stats.sem(each)
     # A belief is at most 1, and only the regret to the oracle can be negative.
     least, most = (-math.inf if name == "regret" else 0), 1 if name == "final_belief" else math.inf
-    assert figures[name].low == pytest.approx(max(sum(each) / 3 - half, least))
-    assert figures[name].high == pytest.approx(min(sum(each) / 3 + half, most))
+    assert (figures[name].low, figures[name].high) == (
+        pytest.approx(max(sum(each) / 3 - half, least)),
+        pytest.approx(min(sum(each) / 3 + half, most)),
+    )
 
 
 def test_steps_by_hand():

@@ -203,7 +203,6 @@ def test_classes_are_found_and_predict_better_than_means() -> None:
     found = DirichletMixture().cluster(Observations(data), 0)
     assert adjusted_rand_score(truth, found.assignment) > at_best - 0.2
     assert found.n_types in (3, 4)
-    assert found.expected is not None
     assert found.expected.shape == (180, 12)
     known = predict_held_out(data, DirichletMixture(), LabelerTrainer(), 0)
     assert known.gain[0] > 0

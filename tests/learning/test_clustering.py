@@ -59,7 +59,6 @@ def test_no_more_types_are_tried_than_allowed(rng: np.random.Generator, most: in
     """Eight observers have many different vectors."""
     dataset, _ = made(rng, [[0], [1], [2], [0, 3]], per_type=2, size=40, noise=0.3)
     found = Elbow(KMeans(), max_types=most).cluster(Observations(dataset), 0)
-    assert found.curve is not None
     assert len(found.curve) == min(most, 8)
     assert found.n_types <= most
 
@@ -170,8 +169,7 @@ class TestFirstAndRest(TypeFinderConformance):
 def test_its_types_are_what_agents_know(tmp_path: Any) -> None:
     dataset, _ = made(np.random.default_rng(0), [[0], [1]])
     known, tables_of = find_types(Observations(dataset), LabelerTrainer(), FirstAndRest(), 0)
-    assert known.learned_types == ("a", "b")
-    assert known.type_shares == pytest.approx([1 / 6, 5 / 6])
+    assert (known.learned_types, known.type_shares) == (("a", "b"), pytest.approx([1 / 6, 5 / 6]))
     tables = tables_of(dataset.features, np.zeros((10, 3), np.int64))
     assert tables.learned.array(4)[:, 0, 0b111] == pytest.approx([0.4, 0.55])
     assert tables.perfect is None  # nobody knows the setting

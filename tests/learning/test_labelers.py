@@ -77,15 +77,16 @@ def test_confidence_is_the_smoothed_share_of_held_out_questions_got_right(
     assert len(votes) < len(test) / repeats, "no question comes twice: nothing is tested here"
     assert labeler.n_test == len(votes)
     assert labeler.n_train + labeler.n_test == len(np.unique(query_index(dataset)))
-    assert labeler.accuracy == pytest.approx(right / len(votes))
-    assert labeler.confidence == pytest.approx((right + 1) / (len(votes) + 2))
+    assert (labeler.accuracy, labeler.confidence) == (
+        pytest.approx(right / len(votes)),
+        pytest.approx((right + 1) / (len(votes) + 2)),
+    )
 
 
 def test_one_point_alone_tells_nothing(rng: np.random.Generator) -> None:
     dataset, _ = made(rng, [[0]], size=30)
     labeler = LabelerTrainer().fit(dataset.take(np.array([0])), 0)
-    assert labeler.n_test == 0
-    assert labeler.confidence == 0.5
+    assert (labeler.n_test, labeler.confidence) == (0, 0.5)
 
 
 def test_leaves_of_a_fitted_tree_by_hand() -> None:

@@ -215,8 +215,6 @@ def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> 
     sure = DirichletMixture().cluster(Observations(dataset), 0).posterior
     scarce = dataset.take(np.flatnonzero(np.arange(len(dataset)) % 25 == 0))
     unsure = DirichletMixture().cluster(Observations(scarce), 0).posterior
-    assert sure is not None
-    assert unsure is not None
     for posterior in (sure, unsure):
         assert sum(posterior.values()) == pytest.approx(1)
     assert sure[3] > 0.9

@@ -54,7 +54,6 @@ SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", ROOT / "outputs/study/sc
 def axe(request: pytest.FixtureRequest) -> str:
     """Fetches axe-core's script from npm once, and keeps it in pytest's cache, not in the
     project."""
-    assert request.config.cache is not None
     folder = Path(request.config.cache.mkdir("axe-core"))
     with FileLock(folder / ".lock"):  # tests run in several processes
         if not list(folder.glob("axe-core-*.tgz")):
@@ -67,7 +66,6 @@ def axe(request: pytest.FixtureRequest) -> str:
     (archive,) = folder.glob("axe-core-*.tgz")
     with tarfile.open(archive) as content:
         script = content.extractfile("package/axe.min.js")
-        assert script is not None
         return script.read().decode()
 
 

@@ -23,11 +23,12 @@ def written(tmp_path: Path, text: str, encoding: str = "utf-8") -> Path:
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # spreadsheets mark their files
 def test_every_column_is_read_as_it_is_meant(tmp_path: Path, encoding: str) -> None:
     own = read_transitions(written(tmp_path, TABLE, encoding))
-    assert own.texts == ("Drives over the cable", "Takes the lift", "Waits at the door")
-    assert own.images == ("cable.jpg", "", "door.jpg")
-    assert own.facts == (("cable",), ("lift", "queue"), ())
-    assert own.feature_names == ("load", "zone=hill", "zone=river")
-    assert own.features is not None
+    assert (own.texts, own.images, own.facts, own.feature_names) == (
+        ("Drives over the cable", "Takes the lift", "Waits at the door"),
+        ("cable.jpg", "", "door.jpg"),
+        (("cable",), ("lift", "queue"), ()),
+        ("load", "zone=hill", "zone=river"),
+    )
     assert own.features.tolist() == [[2.5, 0, 1], [0, 1, 0], [10, 0, 1]]
 
 
@@ -45,7 +46,6 @@ def test_without_features_the_text_is_one(tmp_path: Path) -> None:
     own = read_transitions(written(tmp_path, "text,inexplicable_if\nb,x\na,y\nb,x\n"))
     known = with_features(own.hypotheses)
     assert known.feature_names == ("text=a", "text=b")
-    assert known.features is not None
     assert known.features.tolist() == [[0, 1], [1, 0], [0, 1]]
     assert with_features(known) is known
 

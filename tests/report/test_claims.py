@@ -13,6 +13,7 @@ from scipy import stats
 
 from tests.report import handmade
 from xplain.experiment.results import load_results, save_results
+from xplain.report import plots
 from xplain.report.claims import (
     Claim,
     answer,
@@ -21,6 +22,7 @@ from xplain.report.claims import (
     claims_table,
     compute_ratios,
     decomposition,
+    list_undecided,
 )
 from xplain.report.compare import table
 from xplain.report.frame import Summary
@@ -83,12 +85,14 @@ def verdicts(found: list[Claim]) -> dict[str, str]:
 def test_differences_that_are_clear_hold_in_the_papers_direction_alone() -> None:
     base = {"qmdp": 1.0, "pomcp_paper": 1.0, "qhr": 3.0, "baseline": 2.0}
     found = verdicts(settled(episodes(lambda method, _, seed: base[method] + 0.01 * seed)))
-    for trade_off in TRADE_OFFS:
-        at = f"λ = {trade_off:g}"
-        assert found[f"QMDP and POMCP cost about the same, {at}"] == "holds"
-        assert found[f"QMDP costs less than QHR, {at}"] == "holds"
-        assert found[f"POMCP costs less than QHR, {at}"] == "holds"
-        assert found[f"QHR costs less than the baseline, {at}"] == "does not hold"
+    expected = {
+        "QMDP and POMCP cost about the same": "holds",
+        "QMDP costs less than QHR": "holds",
+        "POMCP costs less than QHR": "holds",
+        "QHR costs less than the baseline": "does not hold",
+    }
+    for (words, verdict), at in itertools.product(expected.items(), TRADE_OFFS):
+        assert found[f"{words}, λ = {at:g}"] == verdict
 
 
 def test_the_interval_is_the_t_interval_of_paired_differences_over_seeds() -> None:
@@ -97,9 +101,9 @@ def test_the_interval_is_the_t_interval_of_paired_differences_over_seeds() -> No
     frame = episodes(lambda method, _, seed: excess[seed] if method == "qhr" else 0.0)
     claim = next(c for c in settled(frame) if c.text == "QMDP costs less than QHR, λ = 1")
     half = stats.t.ppf(0.975, 5) * stats.sem(excess)
-    assert claim.estimate.mean == pytest.approx(np.mean(excess))
-    assert claim.estimate.low == pytest.approx(np.mean(excess) - half)
-    assert claim.estimate.high == pytest.approx(np.mean(excess) + half)
+    ends = {"mean": 0.0, "low": -half, "high": half}
+    expected = {name: np.mean(excess) + apart for name, apart in ends.items()}
+    assert vars(claim.estimate) == pytest.approx(expected)
     assert claim.verdict == "not decided"  # 0 is inside
 
 
@@ -114,12 +118,10 @@ def test_alike_is_a_tenth_of_qmdps_cost() -> None:
 def test_an_oracle_that_bends_is_not_linear() -> None:
     """The cost is min(2 λ, 2 + λ / 2). At λ = 2.5 the line through 0.5 and 1 has the value 5, and
     the envelope 3.25."""
-    straight = settled(episodes(lambda *_: 0.0))
     bent = settled(
         episodes(lambda *_: 0.0, lambda trade_off: min(2 * trade_off, 2 + trade_off / 2))
     )
     text = "the oracle's cost is linear in λ"
-    assert verdicts(straight)[text] == "holds"
     assert verdicts(bent)[text] == "does not hold"
     claim = next(claim for claim in bent if claim.text == text)
     assert claim.estimate.mean == pytest.approx((5 - 3.25) / 3.25)
@@ -132,8 +134,7 @@ def test_a_seed_without_every_trade_off_says_nothing_about_a_line() -> None:
     frame.loc[last & (frame["lambda"] == TRADE_OFFS[-1]), "oracle"] = 1.0
     gone = frame[~last | (frame["lambda"] != TRADE_OFFS[0])]
     (claim,) = [c for c in settled(gone) if c.text == "the oracle's cost is linear in λ"]
-    assert claim.estimate.mean == pytest.approx(0)
-    assert claim.verdict == "holds"
+    assert (claim.estimate.mean, claim.verdict) == (pytest.approx(0), "holds")
 
 
 def test_the_papers_own_oracle_passes_the_test_of_linearity() -> None:
@@ -199,17 +200,18 @@ def groups(folder, seeds: int = 3) -> Summary:
         )
     ]
 
-    def regret(values, trace):
-        sign = 1 if values["labeler"] == "truth" else -1
-        return 2.0 + sign * (values["solver"] == "qhr") + 0.01 * int(values["seed"])
-
     def floor(values, trace):
         return 2.0 * float(values["lambda"]) + trace
 
-    def oracle(values, trace):
-        return floor(values, trace) + 3 * (values["labeler"] == "tree")
-
-    handmade.sweep(folder, jobs, regret, oracle, floor=floor, report="table1")
+    sign = {"truth": {"qhr": 1}, "tree": {"qhr": -1}}
+    handmade.sweep(
+        folder,
+        jobs,
+        lambda v, _: 2.0 + sign[v["labeler"]].get(v["solver"], 0) + 0.01 * int(v["seed"]),
+        lambda v, trace: floor(v, trace) + 3 * (v["labeler"] == "tree"),
+        floor=floor,
+        report="table1",
+    )
     for own in (folder / "results").glob("*labeler=tree*"):
         results = load_results(own)
         learning = {**results.learning, "fresh_accuracy": 0.8}
@@ -236,6 +238,14 @@ def test_table_1_has_a_group_of_columns_a_labeler_each_with_its_own_claims(tmp_p
     assert shown[titles[0]]["QMDP costs less than QHR, λ = 1"] == "holds\n1.00 [1.00, 1.00]"
     failed = shown[titles[1]]["QMDP costs less than QHR, λ = 1"]
     assert failed.startswith("does not hold\n-1.00 [-1.00, -1.00]\n(")
+    undecided = list_undecided(summary)
+    heads = ["Types and labels", "Domain", "Claim", "Difference", "Seeds", "Minutes"]
+    assert ([*undecided.frame], undecided.left) == (heads, 3)
+    assert undecided.frame["Claim"].tolist() == ["the types are found"] * 2
+    figure = plots.against_main_key(summary, "regret")
+    hollow = [line.get_ydata().tolist() for line in figure.axes[0].lines if line.get_zorder() == 1]
+    assert hollow == [[table1()["rescue", at][own] for at in (0.5, 1)] for own in ("qmdp", "qhr")]
+    assert figure.legends[0].texts[-1].get_text() == "the paper's"
     assert answer(summary).startswith(
         f"{titles[0]}: 2 of 3 claims are decided, 2 hold; {titles[1]}"
     )

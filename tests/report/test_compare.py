@@ -95,6 +95,8 @@ def test_learners_have_oracles_of_their_own_and_the_least_cost_wins(tmp_path):
     assert [BEST in own for own in cells] == [False, False, True]
     # Its cost less the floor's: 2.2 + 1.3 − 1, and what the regret has of four traces.
     assert cells[2].startswith(f"{2.5 + 0.01 * 1.5:.2f}")
+    why = summary.measure.why
+    assert ("Regrets are not" in why, "clairvoyant's costs differ" in why) == (True, False)
     best = "labeler = hypotheses costs least, 6.20 less than labeler = tree"
     assert answer(summary).startswith(best)
     found = view("parent", summary)  # MLflow opens on the same winner
@@ -106,14 +108,12 @@ def test_learners_have_oracles_of_their_own_and_the_least_cost_wins(tmp_path):
 def test_noise_is_compared_by_what_noise_costs_not_by_a_worse_oracle(tmp_path):
     """The regret falls with noise, because the oracle gets worse; the cost rises."""
     jobs = product(observers__label_noise="0,0.2", solver="qmdp,qhr", seed="0,1,2")
-
-    def oracle(values):
-        return 2.0 + 10 * float(values["observers.label_noise"])
-
-    def regret(values):
-        return 2.0 - 5 * float(values["observers.label_noise"]) + (values["solver"] == "qhr")
-
-    summary = made(tmp_path, jobs, oracle, regret)
+    summary = made(
+        tmp_path,
+        jobs,
+        lambda v: 2.0 + 10 * float(v["observers.label_noise"]),
+        lambda v: 2.0 - 5 * float(v["observers.label_noise"]) + (v["solver"] == "qhr"),
+    )
     assert summary.measure.name == "above_floor"
     heads = ["observers.label_noise", "clairvoyant's cost", "QMDP", "QHR"]
     assert list(table(summary).frame) == heads
@@ -130,11 +130,13 @@ def test_trade_offs_and_domains_pose_problems_of_their_own(tmp_path):
     def oracle(values):
         return float(values["lambda"]) * (5 if values["domain"] == "rescue" else 1)
 
-    def regret(values):
-        better = "qmdp" if values["domain"] == "rescue" else "qhr"
-        return 1.0 + (values["solver"] != better)
-
-    summary = made(tmp_path, jobs, oracle, regret, lambda v, t: 0.1 * oracle(v) + 0.1 * t)
+    summary = made(
+        tmp_path,
+        jobs,
+        oracle,
+        lambda v: 1.0 + ((v["solver"] == "qmdp") != (v["domain"] == "rescue")),
+        lambda v, t: 0.1 * oracle(v) + 0.1 * t,
+    )
     assert summary.measure.name == "regret"
     assert len(verdicts(summary)) == 4
     assert "QMDP in 2 of 4 problems (2 decided)" in answer(summary)
@@ -262,27 +264,32 @@ def test_so_many_seeds_decide_and_fewer_do_not(mean: float, deviation: float, se
     assert seeds_to_decide(Estimate(-mean, -mean - own, -mean + own), seeds) == found
 
 
-def test_what_these_seeds_cannot_say_is_not_said() -> None:
-    assert seeds_to_decide(Estimate(0.0, -1.0, 1.0), 5) is None  # no difference
-    assert seeds_to_decide(Estimate(1.0, math.nan, math.nan), 1) is None  # one seed
-    assert seeds_to_decide(Estimate(0.001, -9.0, 9.0), 5) is None  # too many
+@pytest.mark.parametrize(
+    ("gap", "seeds"),
+    [((0.0, -1.0, 1.0), 5), ((1.0, math.nan, math.nan), 1), ((0.001, -9.0, 9.0), 5)],
+    ids=["no difference", "one seed", "too many"],
+)
+def test_what_these_seeds_cannot_say_is_not_said(gap: tuple[float, ...], seeds: int) -> None:
+    assert seeds_to_decide(Estimate(*gap), seeds) is None
 
 
 def test_each_difference_that_is_not_decided_has_its_seeds_and_minutes(tmp_path, capsys):
     jobs = product(solver="qmdp,qhr,baseline", seed="0,1,2")
     own = {"qmdp": 1.0, "qhr": 1.1, "baseline": 9.0}
     noise = {"0": 0.5, "1": -0.4, "2": 0.1}
-
-    def regret(values):
-        return own[values["solver"]] + (values["solver"] == "qhr") * noise[values["seed"]]
-
-    made(tmp_path, jobs, lambda v: 3.0, regret)
+    made(
+        tmp_path,
+        jobs,
+        lambda v: 3.0,
+        lambda v: own[v["solver"]] + (v["solver"] == "qhr") * noise[v["seed"]],
+    )
     for path in (tmp_path / "results").iterdir():  # 9 jobs of 20 s: a minute each seed
         save_results(path, replace(load_results(path), seconds={"explain": 20.0}))
     summary = Summary(tmp_path)
     shown = list_undecided(summary)
     ((way, _, seeds, minutes),) = shown.frame.to_numpy()  # the baseline's difference is decided
-    assert way == "QHR − QMDP"
+    assert (way, shown.left) == ("QHR − QMDP", 1)
+    assert answer(summary).endswith("With only 3 seeds, only large differences can be decided.")
     (count,) = re.fullmatch(r"seed='range\((\d+)\)'", seeds).groups()
     assert float(minutes) == int(count) - 3 > 0
     assert shown.caption.endswith("python -m xplain SEEDS")
@@ -346,16 +353,21 @@ def test_sweeps_of_one_or_two_keys_are_shown_by_these_keys(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    ("key", "values", "shown"),
+    ("key", "values", "shown", "number"),
     [
-        ("users__count", "1,2,3,4,5", "users.count = 3"),
-        ("trade_off", "2,3,4,5,6", "λ = 4"),
-        ("trade_off", "0.5,1,2,3,4", "λ = 1"),
+        ("users__count", "1,2,3,4,5", "users.count = 3", 3),
+        ("trade_off", "2,3,4,5,6", "λ = 4", 4),
+        ("trade_off", "0.5,1,2,3,4", "λ = 1", 1),
     ],
 )
-def test_the_belief_is_drawn_for_one_value_which_is_named(tmp_path, key, values, shown):
-    figure = plots.belief_over_steps(summary_of(tmp_path, product(**{key: values})))
-    assert figure.axes[0].get_ylabel() == f"belief in the true type, {shown}"
+def test_the_belief_is_drawn_for_one_value_which_is_named(tmp_path, key, values, shown, number):
+    jobs = product(**{key: values}, seed="0,1")
+    (axes,) = plots.belief_over_steps(summary_of(tmp_path, jobs)).axes
+    assert axes.get_ylabel() == f"belief in the true type, {shown}"
+    # The second seed has half as many episodes of the last step.
+    last = (2 * 0.9 + 0.7) / 3 - 0.01 * number
+    (drawn,) = axes.containers
+    np.testing.assert_allclose(drawn.lines[0].get_xydata(), [(0, 0.5), (1, 0.8), (2, last)])
 
 
 def test_a_third_key_makes_rows_and_panels_of_its_own(tmp_path):
@@ -368,8 +380,13 @@ def test_a_third_key_makes_rows_and_panels_of_its_own(tmp_path):
     figure = plots.against_main_key(summary, "regret")
     titles = [panel.get_title(loc="left") for panel in figure.axes]
     assert titles == [f"users.count = {count}" for count in (2, 3, 4)]
-    assert {len(panel.containers) for panel in figure.axes} == {2}
-    assert len({panel.get_ylim() for panel in figure.axes}) == 1  # comparable
+    for count, panel in zip("234", figure.axes, strict=True):
+        for solver, line in zip(("qmdp", "qhr"), panel.containers, strict=True):
+            values = {"users.count": count, "solver": solver}
+            means = [distinct(values | {"lambda": at}, 1.5) for at in (0.5, 1, 2, 3)]
+            near = np.abs(line.lines[0].get_xydata() - [*zip((0.5, 1, 2, 3), means, strict=True)])
+            assert (near < (0.05, 1e-9)).all()
+    assert len({(panel.get_ylim(), panel.bbox.y0) for panel in figure.axes}) == 1  # comparable
 
 
 def test_a_key_that_another_decides_is_no_dimension_but_is_in_the_csv(tmp_path):

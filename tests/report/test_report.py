@@ -1,14 +1,13 @@
 """Reports from a sweep whose numbers are known: tables, differences, curves, page."""
 
+import base64
 import html
-import html.parser
 import itertools
 import json
 import re
 import shlex
 import shutil
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import pytest
 
@@ -23,8 +22,6 @@ from xplain.runs.job import mark_failed
 
 METHODS = ("qmdp", "qhr", "baseline")
 SETTINGS = ({"domain": "rescue"}, {"domain": "four_rooms", "users.count": "2"})
-GRID = "#b0b0b0"
-SVG = "{http://www.w3.org/2000/svg}"
 
 
 def test_a_domain_is_called_by_the_name_that_its_configuration_gives(tmp_path, capsys, no_pictures):
@@ -90,54 +87,30 @@ def test_missing_jobs_are_told(sweep, no_pictures):
     assert "InputError: &lt;no&gt;" in page
 
 
-class Page(html.parser.HTMLParser):
-    """A parser that collects the files that a page would load, and checks that elements close."""
-
-    def __init__(self):
-        super().__init__()
-        self.loads, self.images, self.open = [], 0, []
-
-    def handle_starttag(self, tag, attrs):
-        own = dict(attrs)
-        self.loads += [own[key] for key in ("src", "href") if key in own]
-        self.images += tag == "img"
-        if tag not in ("meta", "img", "link", "br"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-
 def test_the_page_is_whole_and_loads_nothing(known):
     report = known / "report"
     text = (report / "index.html").read_text()
-    page = Page()
-    page.feed(text)
-    assert page.open == []
-    assert page.images >= 3
-    assert all(address.startswith("data:") for address in page.loads)
+    for tag in {*re.findall(r"<([a-z]\w*)", text)} - {"meta", "img", "link", "br"}:
+        assert len(re.findall(rf"<{tag}[\s>]", text)) == text.count(f"</{tag}>")
+    loads = re.findall(r"<[^>]* (?:src|href)=\"([^\"]*)", text)
+    assert all(address.startswith("data:") for address in loads)
     assert not re.search(r"url\(|@import|<script[^>]* src|\bfetch\(|XMLHttpRequest|import\(", text)
     for domain in (setting["domain"] for setting in SETTINGS):
         said = f"The robot of {domain} likes <fire>."
         assert text.count(html.escape(said)) == 1
-    for name in ("regret.svg", "messages.svg", "inexplicable.svg"):
-        drawing = ElementTree.parse(report / name).getroot()
-        lines = drawing.iter(f"{SVG}path")
-        drawn = [line for line in lines if line.get("clip-path") and GRID not in line.get("style")]
-        curves = {line.get("d") for line in drawn if "L" in line.get("d")}
-        assert len(curves) >= len(SETTINGS) * len(METHODS)
+    for name in ("regret", "messages", "inexplicable", "belief"):
+        drawing = base64.b64encode((report / f"{name}.svg").read_bytes()).decode()
+        assert drawing in text
 
 
 def test_the_page_says_who_costs_least_and_how_to_see_an_explanation(tmp_path, no_pictures):
     jobs = [
         {"solver": solver, "lambda": trade_off, "seed": seed}
-        for solver, trade_off, seed in itertools.product(("qmdp", "qhr"), ("0.5", "1"), "012")
+        for solver, trade_off, seed in itertools.product(("qmdp", "qhr"), ("1", "2"), "012")
     ]
-
-    def worse(values, trace):
-        return 1.0 + (values["solver"] == "qhr") + 0.01 * int(values["seed"])
-
-    handmade.sweep(tmp_path, jobs, worse)
+    handmade.sweep(
+        tmp_path, jobs, lambda v, _: 1.0 + (v["solver"] == "qhr") + 0.01 * int(v["seed"])
+    )
     _, report = write_report(tmp_path)
     text = (report / "index.html").read_text()
     assert '<p class="answer">Least cost: QMDP in 2 of 2 problems (2 decided)' in text

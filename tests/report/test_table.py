@@ -83,6 +83,7 @@ def test_groups_stand_side_by_side_and_below_each_other_on_the_terminal() -> Non
     assert re.search(r"<th[^>]*>this</th>.*<th[^>]*>that</th>.*2.*3", table.html(), re.DOTALL)
     assert "2<br>± 1" in table.html()
     assert "| λ | this cost | that cost |" in table.markdown()
+    assert "|---|---:|---:|" in table.markdown()
     assert "| 1 | 2 ± 1 | 3 |" in table.markdown()
     assert re.search(r"& this & that", table.latex())
     assert re.search(r"this.*λ +cost.*1 +2.*that.*λ +cost.*1 +3", terminal(table), re.DOTALL)

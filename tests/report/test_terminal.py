@@ -1,9 +1,50 @@
 """The policy's value on the terminal: its uncertainty, and notes about sampling error."""
 
+from dataclasses import replace
+
 import pytest
 
+from tests.report import handmade
 from xplain.cli.plan import describe_accuracy
-from xplain.report.terminal import print_certificates
+from xplain.experiment.results import Figure
+from xplain.report.terminal import print_certificates, print_summary
+
+
+def test_a_run_is_printed_with_its_figures(capsys) -> None:
+    """No found type fits users A, whose costs are 3 and 4 (on two traces)."""
+    costs = {"solver": 3.0, "say_all": 5.0, "conformant": 4.0}
+    episodes = tuple(
+        replace(handmade.episode(solver, trace, kind, cost + trace + 2 * (fit > 0.4)), fit=fit)
+        for solver, cost in costs.items()
+        for trace in range(2)
+        for kind, fit in (("A", 0.4), ("B", 0.5))
+    )
+    run = handmade.results("", {}, episodes)
+    means = {"cost": Figure(3.5, 3.25, 3.75), "regret": Figure(0.5, None, None)}
+    config = {**run.config, "traces": 2, "ask": {"cost": 0.5}}
+    run = replace(run, metrics=means, config=config)
+    asked = replace(run, choices={**run.choices, "ask": "cheap"})
+    fits = tuple(replace(own, fit=1.0) for own in episodes)
+    clumsy = replace(run, choices={**run.choices, "explainee": "clumsy"}, episodes=fits)
+    for own, more, paper in (
+        (run, "", True),
+        (asked, "ask=cheap, κ = 0.5 · ", False),
+        (clumsy, "explainee=clumsy · ", False),
+    ):
+        print_summary(own)
+        heads = "measure mean 95 % interval" + paper * " paper"
+        below = (
+            "no found type fits 2 of 4 users; for these users the solver costs 3.50, giving "
+            "all messages 5.50, and one explanation for all types 4.50"
+            if own is not clumsy
+            else "no found type fits 0 of 4 users"
+        )
+        assert " ".join(capsys.readouterr().out.split()) == (
+            f"rescue · qmdp · λ = 1 · 2 traces × 2 types · {more}seed 0 user types found: 2, "
+            f"adjusted Rand index 1.00 (kneedle) {heads} cost 3.500 3.250 … 3.750 regret (cost − "
+            f"oracle's) 0.500 one trace{paper * ' 0.93'} {below}"
+        )
+
 
 BOUNDS = {
     "traces": 2.0,

@@ -110,7 +110,6 @@ def test_outcomes_are_those_of_all_label_vectors(seed: int) -> None:
     belief, k = random_belief(rng, problem), int(rng.integers(problem.n_steps))
     said = int(rng.integers(1 << problem.n_messages))
     found = outcomes(process, k, said, belief)
-    assert found is not None
     weights, tail = found
     assert not tail.any()
     # Functions of the belief that follows, homogeneous of degree 1: sums over answers that may be
@@ -124,7 +123,6 @@ def test_outcomes_are_those_of_all_label_vectors(seed: int) -> None:
         whole += float((kinds @ forget(process, belief * likelihood)).max())
     assert merged == pytest.approx(whole)
     left = outcomes(process, k, said, belief, negligible=0.2)
-    assert left is not None
     assert left[0].sum() + left[1].sum() == pytest.approx(belief.sum())
     assert (left[0].sum(axis=1) > 0.2).all()
     assert outcomes(process, k, said, belief, most=len(weights) - 1) is None or len(weights) == 1

@@ -62,12 +62,15 @@ MOST_PANELS = 24
 STYLE: dict[Any, Any] = {
     "figure.dpi": 150,
     "savefig.bbox": "tight",
-    "font.size": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
+    "figure.figsize": (4.5, 3.5),
     "axes.grid": True,
-    "grid.alpha": 0.25,
-    "legend.frameon": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": "medium",
+    "axes.titleweight": "bold",
+    "figure.labelsize": "medium",
+    "figure.titlesize": "medium",
+    "figure.titleweight": "bold",
+    "grid.color": "#DDDDDD",
     "svg.hashsalt": "xplain",
 }
 """Style of plots. It is set only while a plot is drawn, so a program's own figures do not
@@ -103,29 +106,29 @@ def draw(
     is_numeric = not any(isinstance(tick, str) for tick in ticks)
     place = {tick: tick if is_numeric else i for i, tick in enumerate(ticks)}
     at = sorted(place.values())  # a point stays at its tick
-    apart = min(0.12 * min(np.diff(at), default=0.0), 0.03 * np.ptp(at))
-    apart *= points["low"].notna().any()
+    apart = 0.04 * min(np.diff(at), default=0.0) * points["low"].notna().any()
     columns = min(per_row, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
+    width, height = matplotlib.rcParams["figure.figsize"]
+    figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
     every = figure.subplots(rows, columns, squeeze=False, sharey="row").ravel()
     texts = [tick if isinstance(tick, str) else f"{tick:g}" for tick in ticks]
     slope: dict[str, Any] = {"rotation": 30, "ha": "right"} if len("".join(texts)) > 32 else {}
     hole: dict[str, Any] = {"mfc": "white", "ls": "none", "ms": 8}
     for number, (axes, panel) in enumerate(zip(every, panels, strict=False)):
         # The axis begins at 0, or below 0 if a value is below 0.
-        axes.axhline(0, color="#222222", lw=0.8).sticky_edges.y.append(0)
+        axes.axhline(0, color="#222222").sticky_edges.y.append(0)
         for index, line in enumerate(lines):
             own = points[(points["panel"] == panel) & (points["line"] == line)]
             at = own["x"].map(place).to_numpy(float) + apart * (index - (len(lines) - 1) / 2)
             style = series_style(index) | ({} if is_numeric else {"linestyle": "none"})
             ends = np.nan_to_num([own["mean"] - own["low"], own["high"] - own["mean"]]).clip(0)
-            many = dict[str, Any](markevery=max(1, len(own) // 12), capsize=2.5, lw=1.4, ms=5)
+            many = dict[str, Any](markevery=max(1, len(own) // 12), capsize=2.5)
             axes.errorbar(at, own["mean"], ends, label=line, **many, **style)
             look = {name: style[name] for name in ("color", "marker")} | hole
             axes.plot(at, own["hollow"], zorder=1, **look)
         axes.set(xlabel=x_label, ylabel="" if number % columns else y_label)
-        axes.set_title(panel, loc="left", weight="bold", fontsize=10)
+        axes.set_title(panel)
         if len(ticks) <= 8 or not is_numeric:  # only the values of the runs
             axes.set_xticks([*place.values()], texts, **slope)
         else:
@@ -172,7 +175,7 @@ def _count_per_row(summary: Summary, keys: Sequence[str]) -> int:
     """Returns the number of panels in a row, at most 4. All panels of a row have the same
     domain, so they can share a scale."""
     counts = [len(summary.values(key)) for key in keys if key != "domain"]
-    return min(4, int(np.prod(counts))) if counts else 1 + (len(keys) == 0)
+    return min(4, int(np.prod(counts)))
 
 
 def against_main_key(summary: Summary, measure: str) -> Figure | None:

@@ -11,33 +11,30 @@ from statistics import median_low
 from typing import Any
 
 import matplotlib
+import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba, to_rgba_array
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from xplain.domains.base import Scene
 from xplain.experiment.results import EPISODES, Results
-from xplain.report.plots import COLOURS, STYLE, STYLES
+from xplain.report.plots import COLOURS, STYLE, series_style
 from xplain.report.table import count_things
 
 Story = Mapping[str, Any]
 """One episode: a line of ``episodes.jsonl`` (:func:`xplain.experiment.results.episode_lines`)."""
 
-ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
-CELL = 0.46
-"""Size of a cell in inches, on a map with more columns than LARGE."""
-LARGE = 11
-LONG = 30
-"""Letters of an item's name above which the legend has one column."""
-LETTERS = 92
-"""Letters in a line below the steps."""
-LINE, LETTER = 0.18, 0.082
-"""Height of a line below the steps, and width of a letter in the name of a transition, in
-inches."""
+LINE = 0.2
+"""Height of a line of text, and width of two letters, in inches. A cell is two lines wide."""
+AROUND = 14, 8
+"""Lines for legends on the right, and for titles and the numbers of columns."""
 TYPES = 8
 """Maximum number of learned types in the plot of the belief: the most likely types at the end."""
-ASKED = "#7A3F8F"
-EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
+DARK, SAID, ASKED = "#222222", COLOURS[1], "#7A3F8F"
+INEXPLICABLE, EXPLICABLE = "#F5C4A1", "#CFE8F5"
+BESIDE: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1, 1)}
+"""Place of a legend: on the right of its axes."""
 
 
 def stories(folder: Path, solver: str) -> list[Story]:
@@ -94,31 +91,49 @@ def draw_trace(
     """
     m, said = len(story["transitions"]), list_said(story, sentences)
     names = [f"{i}. {phrase}" for i, phrase in enumerate(story["transitions"], 1)]
-    shown, has_belief = ["steps"], len(types) > 1
-    if scene is not None and len(story["positions"]) == m + 1:
-        shown, width = ["map", "steps"], max(5.2, CELL * scene.columns)
-        tall = width * scene.rows / scene.columns
-    else:
-        changes, width, tall = story.get("changes", ()), 0.0, 0.0
-        lines = ["\n".join(textwrap.wrap("; ".join(own), 64)) for own in changes]
-        names = ["\n".join(pair) for pair in zip(names, lines, strict=True)] if changes else names
-    row = 0.21 + 0.13 * max(name.count("\n") + 1 for name in names)
-    letters = max(len(line) for name in names for line in name.split("\n"))
-    wide = max(2.4, 0.34 * m)
-    high = max(tall + 1, row * m + 1.6 + 1.7 * has_belief) + LINE * (said.count("\n") + 2)
-    figure = Figure((width + LETTER * letters + wide + 2.8, high), layout="constrained")
-    rows: list[Any] = [shown, [*shown[:-1], "belief"]] if has_belief else [shown]
-    ratios = [row * m + 1.2, 1.7][: len(rows)]
-    widths = [width, wide][-len(shown) :]
-    parts = figure.subplot_mosaic(rows, width_ratios=widths, height_ratios=ratios)
-    if scene is not None and "map" in parts:
-        draw_map(parts["map"], scene, story["positions"])
-        parts["map"].set_title("What the robot does, step by step", loc="left", weight="bold")
-    _draw_steps(parts["steps"], story, names, caption)
-    if has_belief:
-        _draw_belief(parts["belief"], story, types)
-    figure.supxlabel(said, x=0.01, ha="left", fontsize=9)
+    place = scene if len(story["positions"]) == m + 1 else None
+    if place is None and (changes := story.get("changes")):
+        lines = [textwrap.fill("; ".join(own)) for own in changes]
+        names = ["\n".join(pair) for pair in zip(names, lines, strict=True)]
+    words, widths = "\n".join(names).split("\n"), [2 * m]
+    heights = [m * (2 + max(name.count("\n") for name in names))]
+    if place is not None:
+        widths.insert(
+            0, 2 * place.columns + max((len(i.name) for i in place.items), default=0) // 2
+        )
+    if len(types) > 1:
+        heights.append(8)
+    parts: list[list[Any]] = [["map", "steps"], ["map", "belief"]]
+    figure = Figure(layout="constrained")
+    axes = figure.subplot_mosaic(
+        [row[-len(widths) :] for row in parts[: len(heights)]],
+        width_ratios=widths,
+        height_ratios=heights,
+    )
+    tall = max(sum(heights), 2 * place.rows if place is not None else 0) + said.count("\n")
+    wide = sum(widths) + max(map(len, words)) / 2
+    figure.set_size_inches(LINE * (wide + AROUND[0]), LINE * (tall + AROUND[1]))
+    if place is not None:
+        draw_map(axes["map"], place, story["positions"])
+    _draw_steps(axes["steps"], story, names)
+    if len(types) > 1:
+        axes["belief"].sharex(axes["steps"])
+        _draw_belief(axes["belief"], story, types)
+    title = "\n".join(map(textwrap.fill, (_describe(story), caption)))
+    figure.suptitle(title, x=0, ha="left")
+    figure.supxlabel(said, x=0, ha="left")
+    figure.draw_without_rendering()  # the layout of a map follows from its size after a layout
     return figure
+
+
+def _describe(story: Story) -> str:
+    """Describes what the robot says, and to whom, in the picture's title."""
+    steps = story["steps"]
+    said = [count_things(sum(len(step["messages"]) for step in steps), "message")]
+    if asked := sum(len(step.get("questions", ())) for step in steps):
+        said.insert(0, count_things(asked, "question"))
+    labels = count_things(sum(step["labels"].count(0) for step in steps), "inexplicable label")
+    return f"What the robot says to a user of type {story['type']}: {', '.join(said)}; {labels}"
 
 
 def list_said(story: Story, sentences: Mapping[str, str]) -> str:
@@ -131,110 +146,83 @@ def list_said(story: Story, sentences: Mapping[str, str]) -> str:
         ]
         found += [f"before step {k}: “{sentences.get(n, n)}” ({n})" for n in step["messages"]]
     found = ["The robot says:", *found] if found else ["The robot says nothing."]
-    return "\n".join(textwrap.fill(one, LETTERS, subsequent_indent="    ") for one in found)
+    return "\n".join(textwrap.fill(one, subsequent_indent="    ") for one in found)
+
+
+def _draw_cells(
+    axes: Axes, rows: int, columns: int, colours: Mapping[tuple[int, int], Any]
+) -> None:
+    """Draws a grid whose cell (row, column) is around the point (column, row). The first row is at
+    the top. Cells without a colour are transparent."""
+    found = to_rgba_array([colours.get(cell, "none") for cell in np.ndindex(rows, columns)])
+    edges = [np.arange(count + 1) - 0.5 for count in (columns, rows)]
+    axes.pcolormesh(*edges, found.reshape(rows, columns, -1), edgecolors="#DDDDDD")
+    axes.invert_yaxis()
+    axes.set(xticks=range(columns), yticks=range(rows))
+    axes.grid(visible=False)
+    axes.tick_params(length=0)
 
 
 def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> None:
     """Draws the grid, its items by letter, and the path with the number of each step."""
-    for row, column in scene.walls:
-        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, color="#555555"))
-    size = 9.0 if scene.columns <= LARGE else 6.5
-    for index, item in enumerate(scene.items):
-        colour = ITEM_COLOURS[index % len(ITEM_COLOURS)]
+    colours: dict[tuple[int, int], Any] = dict.fromkeys(scene.walls, "#555555")
+    for item, colour in zip(scene.items, itertools.cycle(COLOURS), strict=False):
+        pale = to_rgba(colour, 0.25)
+        colours |= dict.fromkeys(item.cells, pale)
         texts = item.labels or [item.symbol] * len(item.cells)
         for (row, column), text in zip(item.cells, texts, strict=True):
-            place: dict[str, Any] = {"xy": (column - 0.5, row - 0.5), "width": 1, "height": 1}
-            axes.add_patch(Rectangle(**place, color=colour, alpha=0.25, linewidth=0))
-            axes.text(column - 0.42, row - 0.2, text, fontsize=size, weight="bold", color="#222222")
-        axes.plot([], [], "s", color=colour, alpha=0.45, label=f"{item.symbol}  {item.name}")
-    arrow = {"arrowstyle": "-|>", "color": "#222222", "shrinkA": 5, "shrinkB": 5}
-    visits: dict[tuple[int, ...], list[int]] = {}
-    for step, cell in enumerate(positions):
-        visits.setdefault(tuple(cell), []).append(step)
+            axes.text(column - 0.5, row - 0.5, text, va="top", weight="bold", color=DARK)
+        axes.plot([], [], "s", color=pale, label=f"{item.symbol}  {item.name}")
+    # Rows and columns have the same numbers as in the phrases.
+    _draw_cells(axes, scene.rows, scene.columns, colours)
+    axes.set(aspect="equal", anchor="NW")
+    axes.set_title("What the robot does, step by step")
     for before, after in itertools.pairwise(positions):
         if before != after:
+            arrow = {"arrowstyle": "-|>", "color": DARK}
             axes.annotate("", xy=after[::-1], xytext=before[::-1], arrowprops=arrow)  # type: ignore[arg-type]
-    axes.plot(*positions[0][::-1], "o", color="#222222", markersize=7)
+    axes.plot(*positions[0][::-1], "o", color=DARK)
+    visits: dict[tuple[int, ...], list[str]] = {}
+    for step, cell in enumerate(positions[1:], 1):
+        visits.setdefault(tuple(cell), []).append(str(step))
+    look: dict[str, Any] = {"ha": "right", "va": "bottom", "fontsize": "x-small", "color": DARK}
     for (row, column), steps in visits.items():
-        numbers = ",".join(str(step) for step in steps if step > 0)
-        axes.text(column + 0.44, row + 0.4, numbers, ha="right", fontsize=7, color="#222222")
-    # Rows and columns have the same numbers as in the phrases; lines are between cells.
-    axes.set(
-        xlim=(-0.5, scene.columns - 0.5),
-        ylim=(scene.rows - 0.5, -0.5),
-        aspect="equal",
-        anchor="NW",
-        xticks=range(scene.columns),
-        yticks=range(scene.rows),
-    )
-    axes.set_xticks([column - 0.5 for column in range(1, scene.columns)], minor=True)
-    axes.set_yticks([row - 0.5 for row in range(1, scene.rows)], minor=True)
-    axes.grid(visible=False, which="major")
-    axes.grid(visible=True, which="minor", alpha=0.25)
-    axes.tick_params(which="both", length=0, labelsize=8, labelcolor="#666666")
-    axes.spines[:].set_visible(True)
+        axes.text(column + 0.5, row + 0.5, ",".join(steps), **look)
     if scene.items:
-        columns = 1 if max(len(item.name) for item in scene.items) > LONG else 3
-        axes.legend(
-            loc="upper left",
-            bbox_to_anchor=(0, 0),
-            borderaxespad=2,  # below the numbers of the columns
-            ncols=columns,
-            fontsize=8,
-        )
+        axes.legend(**BESIDE)
 
 
-def _draw_steps(axes: Axes, story: Story, names: Sequence[str], caption: str) -> None:
+def _draw_steps(axes: Axes, story: Story, names: Sequence[str]) -> None:
     """Draws the labels, with a mark at each step that has messages or questions."""
     m, steps = len(names), story["steps"]
-    for k, step in enumerate(steps):
-        for i, label in enumerate(step["labels"]):
-            colour = EXPLICABLE if label else INEXPLICABLE
-            axes.add_patch(Rectangle((k + 0.54, i + 0.54), 0.92, 0.92, color=colour))
-            if not label:
-                axes.text(k + 1, i + 1, "?", ha="center", va="center", weight="bold")
-        if step["messages"]:
-            axes.plot([k + 0.5, k + 0.5], [0.5, k + 1.5], color=COLOURS[1], lw=1.6)
-            axes.plot(k + 0.5, 0.36, "v", color=COLOURS[1], markersize=7, clip_on=False)
-        if step.get("questions"):
-            axes.plot(k + 1, 0.36, "D", color=ASKED, ms=6, clip_on=False)
-    axes.set(xlim=(0.5, m + 0.5), ylim=(m + 0.5, 0.5), xticks=range(1, m + 1))
-    axes.set_yticks(range(1, m + 1), names)
-    axes.set_xlabel("step (at each, the user labels all transitions shown so far)")
-    axes.grid(visible=False)
-    axes.tick_params(length=0)
-    counts = {
-        "question": sum(len(step.get("questions", ())) for step in steps),
-        "message": sum(len(step["messages"]) for step in steps),
-        "inexplicable label": sum(step["labels"].count(0) for step in steps),
-    }
-    marks = [
-        ("s", EXPLICABLE, "explicable"),
-        ("s", INEXPLICABLE, "inexplicable (?)"),
-        ("v", COLOURS[1], "messages before the step"),
-        *([("D", ASKED, "question before the step")] if counts["question"] else []),
-    ]
-    for mark, colour, label in marks:
-        axes.plot([], [], mark, color=colour, markersize=8, label=label)
-    axes.legend(fontsize=8.5, loc="upper left", bbox_to_anchor=(1.02, 1))
-    *said, labels = (count_things(n, what) for what, n in counts.items() if n or what != "question")
-    title = f"What the robot says to a user of type {story['type']}: {', '.join(said)}; {labels}"
-    axes.annotate(title, (0, 1), (0, 24), textcoords="offset points", weight="bold", **CORNER)
-    axes.annotate(caption, (0, 1), (0, 10), textcoords="offset points", color="#666666", **CORNER)
-
-
-CORNER: dict[str, Any] = {"xycoords": "axes fraction", "fontsize": 9.5, "annotation_clip": False}
+    labels = {(i, k): own for k, step in enumerate(steps) for i, own in enumerate(step["labels"])}
+    look = (INEXPLICABLE, EXPLICABLE)
+    _draw_cells(axes, m, m, {cell: look[label] for cell, label in labels.items()})
+    for row, column in (cell for cell, label in labels.items() if not label):
+        axes.text(column, row, "?", ha="center", va="center", weight="bold")
+    axes.set_xticks(range(m), map(str, range(1, m + 1)))
+    axes.set_yticks(range(m), names)
+    axes.set_xlabel("step (the user labels all transitions shown so far)", loc="left")
+    said = np.array([k - 0.5 for k, step in enumerate(steps) if step["messages"]])
+    axes.vlines(said, -0.5, said + 1, color=SAID)
+    for colour, text in ((EXPLICABLE, "explicable"), (INEXPLICABLE, "inexplicable (?)")):
+        axes.plot([], [], "s", color=colour, label=text)
+    asked = [k for k, step in enumerate(steps) if step.get("questions")]
+    above: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "clip_on": False}
+    for mark, what, at, colour in (("v", "messages", said, SAID), ("D", "question", asked, ASKED)):
+        if len(at):
+            text = f"{what} before the step"
+            axes.plot(at, np.ones(len(at)), mark, color=colour, label=text, **above)
+    axes.legend(**BESIDE)
 
 
 def _draw_belief(axes: Axes, story: Story, types: Sequence[str]) -> None:
     """Draws the belief in each learned type as a line, from the prior to the last step. Draws at
     most TYPES types: the most likely types at the end."""
-    beliefs = [story["prior"], *(step["belief"] for step in story["steps"])]
-    shown = sorted(range(len(types)), key=lambda t: (-beliefs[-1][t], t))[:TYPES]
-    for index, t in enumerate(sorted(shown)):
-        colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
-        line, at = [belief[t] for belief in beliefs], [0.5, *range(1, len(beliefs))]
-        axes.plot(at, line, color=colour, ls=style, lw=1.6, label=types[t])
-    axes.set(ylim=(-0.02, 1.02), ylabel="belief after the step", xlim=(0.5, len(beliefs) - 0.5))
-    axes.set_xticks(range(1, len(beliefs)))
-    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.02, 1))
+    rows = [story["prior"], *(step["belief"] for step in story["steps"])]
+    beliefs = pd.DataFrame(rows, columns=[*types])
+    shown = beliefs[beliefs.iloc[-1].nlargest(TYPES).index]
+    for index, (name, line) in enumerate(shown.items()):
+        axes.plot([-0.5, *range(len(story["steps"]))], line, label=name, **series_style(index))
+    axes.set(ylim=(0, 1), ylabel="belief after the step")
+    axes.legend(**BESIDE)

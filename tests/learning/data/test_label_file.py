@@ -83,9 +83,11 @@ def test_columns_become_a_dataset(tmp_path: Path, changes: dict[str, object], te
     path = table(tmp_path, **changes)
     path.write_text(text(path.read_text()))
     dataset = read_table(path)
-    assert dataset.observers == ("a", "b")
-    assert dataset.messages == ("m0", "m1")
-    assert dataset.feature_names == ("row", "action=left", "action=up")
+    assert (dataset.observers, dataset.messages, dataset.feature_names) == (
+        ("a", "b"),
+        ("m0", "m1"),
+        ("row", "action=left", "action=up"),
+    )
     assert dataset.message_set.tolist() == [0, 2, 3, 0, 1, 1]
     assert dataset.label.tolist() == ROWS["label"]
     shown = dataset.features[dataset.transition]
@@ -332,8 +334,7 @@ def test_a_random_table_is_the_same_after_writing_and_reading(
     assert [dataset.observers[i] for i in dataset.observer] == people
     write_table(dataset, folder / f"again{ending}")
     again = read_table(folder / f"again{ending}", like=dataset.feature_names, **how)
-    assert again.feature_names == dataset.feature_names
-    assert again.observers == dataset.observers
+    assert (again.feature_names, again.observers) == (dataset.feature_names, dataset.observers)
     shown, expected = again.features[again.transition], dataset.features[dataset.transition]
     assert np.array_equal(shown, expected)
     for field in ("observer", "message_set", "label"):

@@ -62,7 +62,6 @@ def test_types_are_doubtful_where_answers_are_not_what_people_think(
 ) -> None:
     people = [person(number, replace(FAULTLESS_OBSERVER, error=error)) for number in range(8)]
     found = find_types_so_far(COLLECTION.plan, people)
-    assert found is not None
     assert found.doubtful == doubtful
 
 
@@ -102,7 +101,6 @@ def test_faultless_people_are_sorted_into_the_types_they_are() -> None:
     assert facts.tolist() == [plan.roles[number % 3].held for number in range(9)]
     assert error < 0.02
     found = find_types_so_far(plan, people)
-    assert found is not None
     assert sorted(len(one.members) for one in found.types) == [3, 3, 3]
     assert {one.wrong for one in found.types} == {
         ("bridge", "market"),
@@ -116,7 +114,6 @@ def test_faultless_people_are_sorted_into_the_types_they_are() -> None:
     rank = sorted(role.held for role in plan.roles[:3]).index
     some = [one for i, one in enumerate(people) if i // 3 <= rank(plan.roles[i % 3].held)]
     largest_first = find_types_so_far(plan, some)
-    assert largest_first is not None
     assert [len(one.members) for one in largest_first.types] == [3, 2, 1]
 
 

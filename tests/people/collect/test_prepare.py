@@ -48,7 +48,6 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
     source = read_own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
     known = source.hypotheses
     assert known.feature_names == ("floor", "place=door", "place=hall")
-    assert known.features is not None
     assert known.features.tolist() == [[0, 0, 1], [1, 0, 1], [0, 1, 0], [0, 0, 1]]
     assert [fact.name for fact in source.facts] == ["cable", "lift", "queue"]
     assert [clip.picture is not None for clip in source.clips] == [True, False, False, False]
@@ -107,7 +106,6 @@ def test_pixels_are_kept_and_where_they_were_taken_is_not(folder: Path) -> None:
     assert b"taken at home" in (folder / "a.jpg").read_bytes()
     (folder / "own.csv").write_text(TABLE.replace("cable.png", "a.jpg"))
     clip = read_own_table(folder / "own.csv", str(folder / "facts.csv"), 0).clips[0]
-    assert clip.picture is not None
     picture = Image.open(io.BytesIO(base64.b64decode(clip.picture.content)))
     assert (picture.size, picture.format) == ((40, 30), "JPEG")
     assert not picture.getexif()
@@ -134,8 +132,10 @@ def test_of_ones_own_table_no_domain_s_words_are_told(folder: Path, more: list[s
     ours = [f"hydra.searchpath=[{folder}]", "collect/texts@wording=ours"]
     for arguments in ([*table, *ours], ["domain=rescue", *ours]):
         said = load_config("collect", arguments).wording
-        assert said.introduction == ["A delivery robot drives through our house."]
-        assert said.attention == "The robot waits for an hour before a wall."
+        assert (said.introduction, said.attention) == (
+            ["A delivery robot drives through our house."],
+            "The robot waits for an hour before a wall.",
+        )
 
 
 @pytest.mark.parametrize(

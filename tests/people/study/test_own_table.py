@@ -183,7 +183,6 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, opened: 
     """Every row is a possible question, those of the trace first; the bot judges the row on the
     page."""
     plan = plan_of("ask=clips", **{"ask.cost": 0.02})
-    assert plan.clip_labels is not None
     rows = [int(clip.phrase.split()[1]) for clip in plan.clips]
     told = plan.clip_labels.array(len(FACTS))
     for kind, wrong in enumerate(plan.kinds):

@@ -42,7 +42,6 @@ def test_the_rescue_study_is_prepared_from_its_configuration(rescue: StudyPlan) 
     true = np.tile(plan.true_labels.astype(bool), (2, 1, 1))
     agree = (plan.problem.p_explicable[found] > 0.5) == true
     assert agree.mean() > 0.95
-    assert plan.scene is not None
     assert set(plan.icons) >= {item.name for item in plan.scene.items}
     for role in plan.roles:
         assert len(role.wrong) == 2
@@ -127,9 +126,11 @@ def test_roles_follow_from_the_sentences(study: Study) -> None:
             assert s.text == (fact.message if s.true else fact.belief)
     assert street_plan(prior="observers").problem.prior.tolist() == [1 / 3] * 3
     # A reward with a phrase gets the paper's question; what is no number gets the sentences.
-    assert plan.roles[0].eligibility[0].options == ("0 points or more", "less than 0 points")
-    assert plan.roles[0].eligibility[0].answer == 1
-    assert plan.roles[2].eligibility[0].answer == 0
+    assert (
+        plan.roles[0].eligibility[0].options,
+        plan.roles[0].eligibility[0].answer,
+        plan.roles[2].eligibility[0].answer,
+    ) == (("0 points or more", "less than 0 points"), 1, 0)
     assert set(plan.roles[0].eligibility[3].options) == {
         plan.facts[3].message,
         plan.facts[3].belief,
