@@ -62,7 +62,8 @@ MOST_PANELS = 24
 STYLE: dict[Any, Any] = {
     "figure.dpi": 150,
     "savefig.bbox": "tight",
-    "figure.figsize": (4.5, 3.5),
+    "axes.spines.top": False,
+    "axes.spines.right": False,
     "axes.grid": True,
     "axes.titlelocation": "left",
     "axes.titlesize": "medium",
@@ -70,7 +71,8 @@ STYLE: dict[Any, Any] = {
     "figure.labelsize": "medium",
     "figure.titlesize": "medium",
     "figure.titleweight": "bold",
-    "grid.color": "#DDDDDD",
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
     "svg.hashsalt": "xplain",
 }
 """Style of plots. It is set only while a plot is drawn, so a program's own figures do not
@@ -106,11 +108,11 @@ def draw(
     is_numeric = not any(isinstance(tick, str) for tick in ticks)
     place = {tick: tick if is_numeric else i for i, tick in enumerate(ticks)}
     at = sorted(place.values())  # a point stays at its tick
-    apart = 0.04 * min(np.diff(at), default=0.0) * points["low"].notna().any()
+    apart = min(0.12 * min(np.diff(at), default=0.0), 0.03 * np.ptp(at))
+    apart *= points["low"].notna().any()
     columns = min(per_row, len(panels))
     rows = -(-len(panels) // columns)
-    width, height = matplotlib.rcParams["figure.figsize"]
-    figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
+    figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
     every = figure.subplots(rows, columns, squeeze=False, sharey="row").ravel()
     texts = [tick if isinstance(tick, str) else f"{tick:g}" for tick in ticks]
     slope: dict[str, Any] = {"rotation": 30, "ha": "right"} if len("".join(texts)) > 32 else {}

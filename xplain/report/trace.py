@@ -25,6 +25,7 @@ from xplain.report.table import count_things
 Story = Mapping[str, Any]
 """One episode: a line of ``episodes.jsonl`` (:func:`xplain.experiment.results.episode_lines`)."""
 
+ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
 LINE = 0.2
 """Height of a line of text, and width of two letters, in inches. A cell is two lines wide."""
 AROUND = 14, 8
@@ -119,8 +120,8 @@ def draw_trace(
     if len(types) > 1:
         axes["belief"].sharex(axes["steps"])
         _draw_belief(axes["belief"], story, types)
-    title = "\n".join(map(textwrap.fill, (_describe(story), caption)))
-    figure.suptitle(title, x=0, ha="left")
+    axes["steps"].set_title(textwrap.fill(caption, 2 * (2 * m + AROUND[0])), weight="normal")
+    figure.suptitle(textwrap.fill(_describe(story), int(2 * wide)), x=0, ha="left")
     figure.supxlabel(said, x=0, ha="left")
     figure.draw_without_rendering()  # the layout of a map follows from its size after a layout
     return figure
@@ -166,12 +167,12 @@ def _draw_cells(
 def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> None:
     """Draws the grid, its items by letter, and the path with the number of each step."""
     colours: dict[tuple[int, int], Any] = dict.fromkeys(scene.walls, "#555555")
-    for item, colour in zip(scene.items, itertools.cycle(COLOURS), strict=False):
+    for item, colour in zip(scene.items, itertools.cycle(ITEM_COLOURS), strict=False):
         pale = to_rgba(colour, 0.25)
         colours |= dict.fromkeys(item.cells, pale)
         texts = item.labels or [item.symbol] * len(item.cells)
         for (row, column), text in zip(item.cells, texts, strict=True):
-            axes.text(column - 0.5, row - 0.5, text, va="top", weight="bold", color=DARK)
+            axes.text(column - 0.42, row - 0.42, text, va="top", weight="bold", color=DARK)
         axes.plot([], [], "s", color=pale, label=f"{item.symbol}  {item.name}")
     # Rows and columns have the same numbers as in the phrases.
     _draw_cells(axes, scene.rows, scene.columns, colours)
@@ -187,7 +188,7 @@ def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> No
         visits.setdefault(tuple(cell), []).append(str(step))
     look: dict[str, Any] = {"ha": "right", "va": "bottom", "fontsize": "x-small", "color": DARK}
     for (row, column), steps in visits.items():
-        axes.text(column + 0.5, row + 0.5, ",".join(steps), **look)
+        axes.text(column + 0.44, row + 0.44, ",".join(steps), **look)
     if scene.items:
         axes.legend(**BESIDE)
 
@@ -224,5 +225,5 @@ def _draw_belief(axes: Axes, story: Story, types: Sequence[str]) -> None:
     shown = beliefs[beliefs.iloc[-1].nlargest(TYPES).index]
     for index, (name, line) in enumerate(shown.items()):
         axes.plot([-0.5, *range(len(story["steps"]))], line, label=name, **series_style(index))
-    axes.set(ylim=(0, 1), ylabel="belief after the step")
+    axes.set(ylim=(-0.05, 1.05), ylabel="belief after the step")
     axes.legend(**BESIDE)
