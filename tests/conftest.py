@@ -37,6 +37,7 @@ LONGEST = (
     "service/test_service.py",
     "report/test_report.py",
     "people/collect/test_protocol.py",
+    "test_tables.py",
     "people/test_browser.py",
     "people/test_collect_browser.py",
     "report/test_browser.py",

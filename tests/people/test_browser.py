@@ -299,9 +299,8 @@ class TestQuestions:
         said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
         longest = [max(said, key=len), max((f"The robot {c.phrase}" for c in plan.clips), key=len)]
         with running(create_app(store, GENEROUS)) as url:
-            for cell, (user_type, condition) in enumerate(plan.cells):
-                if condition != "asking":
-                    continue
+            for user_type in range(2):  # the other types meet such pages too
+                cell = plan.cells.index((user_type, "asking"))
                 preview(driver, url, store.researcher_key, cell)
 
                 def look(page: Page) -> None:
@@ -321,7 +320,7 @@ class TestQuestions:
                 person = bot_of(asking, user_type)
                 assert take_part(driver, person, look=look) == "done"
             assert complaints(driver) == []
-        assert len(seen) >= len(plan.roles)
+        assert len(seen) >= 2
         assert len({messages for _, messages in seen}) > 1
 
 
