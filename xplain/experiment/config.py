@@ -6,7 +6,7 @@ import os
 import re
 import secrets
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,6 +18,7 @@ from hydra.errors import (
     MissingConfigException,
     OverrideParseException,
 )
+from hydra.utils import instantiate
 from omegaconf import (
     AnyNode,
     BooleanNode,
@@ -117,6 +118,12 @@ def compose_config(name: str, overrides: Sequence[str], with_hydra: bool = False
     register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         return compose(name, [*overrides], return_hydra_config=with_hydra)
+
+
+def make_object(node: Mapping[str, Any], **options: bool) -> Any:
+    """Makes the object that a resolved node describes, by Hydra's ``instantiate``."""
+    # Hydra resolves a configuration before it reads it, so its texts are read twice.
+    return instantiate(escape(escape(dict(node))), **options)
 
 
 def search_path(key: str, folder: str | None) -> list[str]:

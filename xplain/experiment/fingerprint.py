@@ -26,10 +26,10 @@ from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 from hydra.errors import HydraException
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.errors import InputError, XplainError, escape
+from xplain.errors import InputError, XplainError
+from xplain.experiment.config import make_object
 
 LIBRARIES = {
     **{name: name for name in ("numpy", "scipy", "kneed", "numba", "pandas", "pyarrow")},
@@ -145,7 +145,7 @@ def collect_declarations(config: Mapping[str, Any]) -> dict[str, dict[str, str]]
         target = str(node.get("_target_", "xplain")) if isinstance(node, Mapping) else "xplain"
         if target.partition(".")[0] not in _KNOWN:
             with suppress(HydraException):
-                made = instantiate(escape(escape(dict(node))))
+                made = make_object(node)
                 if isinstance(made, Dependent):
                     found[group] = {name: _identify(own) for name, own in made.depends_on().items()}
     return found

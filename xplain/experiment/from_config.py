@@ -8,12 +8,13 @@ from inspect import signature
 from typing import Any
 
 from hydra.errors import InstantiationException
-from hydra.utils import get_class, instantiate
+from hydra.utils import get_class
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting
-from xplain.errors import InputError, escape
+from xplain.errors import InputError
 from xplain.experiment.cache import SOURCE
+from xplain.experiment.config import make_object
 from xplain.experiment.experiment import Experiment
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
@@ -36,8 +37,7 @@ def component(cfg: Config, group: str, **given: Any) -> Any:
         XplainError, HydraException: the class is missing or incomplete, or refuses a value.
     """
     try:
-        # Hydra resolves a configuration before it reads it, so its texts are read twice.
-        made = instantiate(escape(escape(cfg[group])), _partial_=bool(given))
+        made = make_object(cfg[group], _partial_=bool(given))
         made = made(**given) if given else made
     except TypeError as error:  # from a user's class with another constructor
         raise InputError(group, cfg[group].get("_target_"), f"a usable class ({error})") from None
