@@ -13,7 +13,6 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy, messages_of
-from xplain.testing.literal_pomdp import LiteralPOMDP, LiteralState
 
 
 def messages_given(
@@ -125,30 +124,3 @@ def plain_optimal_value(
         return float(best)
 
     return value(step, given)
-
-
-def states_after(
-    pomdp: LiteralPOMDP,
-    states: dict[LiteralState, float],
-    action: int,
-    seen: tuple[int | None, ...] = (),
-) -> dict[LiteralState, float]:
-    """Computes the joint weights of states and all that was seen, by Bayes' rule; None may be
-    anything."""
-    joint: dict[LiteralState, float] = {}
-    for state, weight in states.items():
-        for chance, new, observation, _ in pomdp.outcomes(state, action):
-            both = zip(seen, observation or (), strict=True)
-            if chance and all(one in (None, other) for one, other in both):
-                joint[new] = joint.get(new, 0.0) + weight * chance
-    return joint
-
-
-def belief_over_rows(problem: Problem, states: dict[LiteralState, float]) -> NDArray[np.float64]:
-    """Computes [rows, N] the belief over the rows of the label table and the types."""
-    belief = np.zeros((problem.table.p.shape[1], problem.n_types))
-    for state, weight in states.items():
-        facts = state.known if not problem.messages_land else ()
-        row = problem.table.subset(sum(1 << j for j in facts))[state.user_type]
-        belief[row, state.user_type] += weight
-    return belief / belief.sum()

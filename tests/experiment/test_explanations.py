@@ -11,11 +11,10 @@ from xplain.errors import InputError
 from xplain.experiment.explanations import Costs, evaluate, problem_for
 from xplain.experiment.pipeline import PreparedData
 from xplain.explanation.actions import Action, VisibleState, give
-from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.interaction.explainees import Exact
 from xplain.solvers.base import Knowledge
-from xplain.solvers.greedy import QMDP, Baseline, KnownType
 
 COSTS = Costs(
     trade_off=1.5,
@@ -164,48 +163,3 @@ def test_what_stands_for_one_of_two_types_that_behave_alike_stands_for_both():
 def test_a_learned_type_that_stands_for_nobody_known_is_right_for_none():
     prepared = replace(a_prepared(), matched_true_type=np.array([-1, -1]))
     assert not any(record.right.any() for record in recorded(prepared, solver=Spy("types")))
-
-
-def test_tables_kept_by_type_are_explained_as_dense_ones():
-    """This holds for every kind of solver and users of every type, with different costs and
-    shares."""
-    dense = a_prepared(steps=(2, 3))
-
-    def of(table):
-        return table.select_messages(table.effective())
-
-    by_type = with_cases(
-        dense,
-        *(
-            replace(
-                case,
-                learned=of(case.learned),
-                everyone=of(case.everyone),
-                perfect=of(case.perfect),
-                labels=of(case.labels),
-            )
-            for case in dense.cases
-        ),
-    )
-    costs = replace(COSTS, prior="observers", message_cost={"a": 0.3, "b": 0.6})
-    solvers = {
-        "solver": QMDP(),
-        "baseline": Baseline(),
-        "oracle": KnownType("type"),
-        "clairvoyant": KnownType("labels"),
-    }
-    pairs = zip(
-        *(evaluate(p, costs, solvers, Persistent(), Exact(), 0) for p in (dense, by_type)),
-        strict=True,
-    )
-    said = 0
-    for one, other in pairs:
-        assert one.episode.messages.tolist() == other.episode.messages.tolist()
-        assert np.array_equal(one.episode.labels, other.episode.labels)
-        assert (one.episode.cost, one.episode.beliefs) == (
-            pytest.approx(other.episode.cost),
-            pytest.approx(other.episode.beliefs),
-        )
-        assert one.right.tolist() == other.right.tolist()
-        said += one.episode.n_messages
-    assert said > 0

@@ -187,27 +187,3 @@ def test_a_belief_is_asked_by_its_two_sentences_in_their_order() -> None:
     assert question.replies == (("It needs fuel.", 0), ("It needs none.", 1))
     with pytest.raises(InputError, match="two sentences"):
         ASKING.session([0], clips=[replace(clip, text="one")])
-    for right in (0, 1):  # the label of its transition is no answer
-        session = ASKING.session([1, 0], clips=[replace(clip, right=right)])
-        assert not session.explained.problem.questions.shows.any()
-
-
-def test_a_trace_that_grows_keeps_what_was_asked() -> None:
-    for update in (Independent(), Persistent(error=0.1)):
-        explainer = replace(ASKING, belief_update=update)
-        session = explainer.session([0], clips={"refuels": 1})
-        session.ask(0)
-        session.answer(0)
-        before, cost = session.belief, session.cost
-        session.extend([1, 0])
-        assert (session.belief, session.cost) == (pytest.approx(before), cost)
-        assert session.explained.problem.questions.shows.tolist() == [[False, True, False]]
-
-
-def test_a_copy_of_a_transition_is_no_news_where_people_repeat_themselves() -> None:
-    session = Explainer(TYPES, trade_off=100, belief_update=Persistent(0.1)).session([0, 0])
-    for labels in ([0], [0, 0]):
-        assert session.messages() == ()
-        before = session.belief
-        session.observe(labels)
-    assert session.belief == before

@@ -13,8 +13,7 @@ from xplain import LabelTable, Problem, TooLargeError
 from xplain.explanation.habits import habits_of
 from xplain.explanation.message_sets import indices
 from xplain.solvers.base import GIB, Solver, check_memory
-from xplain.solvers.bounds import bounds, known_type_value
-from xplain.solvers.evaluate import evaluate
+from xplain.solvers.bounds import bounds
 from xplain.solvers.greedy import QMDP, Baseline, Conformant, KnownType
 from xplain.solvers.hsvi import Certified
 from xplain.solvers.lookahead import Lookahead
@@ -58,23 +57,6 @@ def test_solvers_answer_alike(
             values = [worths(policy, k, shown, belief) for policy in policies]
             for chosen in values[0].keys() & values[1].keys():
                 assert values[0][chosen] == pytest.approx(values[1][chosen], abs=1e-9)
-
-
-def test_bounds_and_values_are_alike(rng_of_the_day: np.random.Generator) -> None:
-    for _ in range(12):
-        both = random_pair(rng_of_the_day)
-        assert known_type_value(both[0]) == pytest.approx(known_type_value(both[1]), abs=1e-9)
-        found = [bounds(problem) for problem in both]
-        assert found[0].lower <= found[1].upper + 1e-9
-        assert found[1].lower <= found[0].upper + 1e-9
-        assert found[0].known_type == pytest.approx(found[1].known_type, abs=1e-9)
-        worth = [evaluate(problem, Certified(nodes=500).plan(problem)).value for problem in both]
-        assert worth[0] == pytest.approx(worth[1], abs=2e-3)
-        policy = QMDP().plan(both[1])
-        mine, other = (evaluate(problem, policy) for problem in both)
-        assert mine.value_is == other.value_is
-        assert mine.value == pytest.approx(other.value, abs=1e-9)
-        assert mine.cost == pytest.approx(other.cost, abs=1e-9)
 
 
 def warehouse(n: int = 60, types: int = 8, facts: int = 6, steps: int = 20) -> Problem:
