@@ -126,6 +126,17 @@ def test_a_mixture_by_hand() -> None:
             {"p_explicable": np.array([None]), "message_cost": np.ones(1)},
             "not a readable",
         ),
+        *(
+            ("wrong", {"p_explicable": HALF, "message_cost": np.ones(1)} | changes, said)
+            for changes, said in (
+                ({"p_explicable": np.full((1, 1, 3), 0.5)}, "power of two"),
+                ({"p_explicable": np.full((1, 1, 1 << 21), 0.5)}, r"at most 2\*\*20"),
+                ({"p_explicable": np.array([[["a", "b"]]])}, "numbers"),
+                ({"discount": np.nan}, "discount"),
+                ({"trade_off": -1.0}, r"lambda \(trade_off\)=-1.0"),
+                ({"discount_per": "minute"}, "discount_per='minute'"),
+            )
+        ),
         ("one.npy", np.ones(3), "not a readable .npz"),
         ("text", b"hello", "not a readable .npz"),
         ("absent", None, "No such file"),

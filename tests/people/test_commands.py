@@ -36,6 +36,7 @@ OF_FILES = ("hydra.searchpath", "types", "key")
     ("command", "arguments", "said"),
     [
         ("study", ["port=0"], "port=0: a whole number"),
+        ("study", ["port=65536"], "port=65536: a whole number"),
         ("study", ["port=many"], "port='many'"),
         ("study", ["prot=1"], "did you mean port?"),
         ("study", ["8080"], "key=value"),
@@ -99,13 +100,6 @@ def test_every_ending_can_have_a_code_of_its_own(kind: str) -> None:
     assert server_of(load_config(kind, [f"server.codes={{{given}}}"])).codes == own
     found = server_of(load_config(kind, ["server.codes={full: ABC}"]))
     assert found.codes == dict.fromkeys(own, "") | {"full": "ABC"}
-
-
-@pytest.mark.parametrize("consent", ["own", "demo"])
-def test_only_a_demo_admits_people_with_a_consent_that_is_not_edited(
-    kind: str, consent: str
-) -> None:
-    assert server_of(load_config(kind, [f"consent={consent}"])).demo == (consent == "demo")
 
 
 COMMENTED = ("study.yaml", "collect/texts/en.yaml")
@@ -186,12 +180,6 @@ def differs(kind: str, snapshot: Path) -> list[str]:
     return find_differences(flow, read(snapshot, flow.PLAN, flow.STATE)[1])
 
 
-def test_a_replay_agrees_to_the_last_bit(kind: str, snapshot: Path, run: Run) -> None:
-    said = run(f"{kind} replay", snapshot)[1]
-    assert said.startswith("3 participants ")
-    assert "all equal" in said
-
-
 def test_a_replay_notices_every_change(kind: str, snapshot: Path, tmp_path: Path) -> None:
     assert differs(kind, snapshot) == []
     for what, statement in CHANGES[kind].items():
@@ -216,7 +204,7 @@ def test_of_whoever_was_erased_others_are_replayed(
     """People whose questions depended on the erased answers are replayed, too."""
     with closing(Store(snapshot)) as database:
         reference = database.reference(answered[1][0])
-    run(f"{kind} erase", snapshot, reference)
+    assert run(f"{kind} erase", snapshot, reference)[1].startswith(f"erased {reference}; ")
     assert run(f"{kind} replay", snapshot)[1] == "2 participants replayed: all equal\n"
     if kind == "collect":
         _, people = read(snapshot, flow_of(kind).PLAN, flow_of(kind).STATE)

@@ -103,21 +103,25 @@ def test_the_page_is_whole_and_loads_nothing(known):
         assert drawing in text
 
 
-def test_the_page_says_who_costs_least_and_how_to_see_an_explanation(tmp_path, no_pictures):
+@pytest.mark.parametrize(("trade_offs", "middle"), [("12", "1"), (("0.5", "2", "3"), "2")])
+def test_the_page_says_who_costs_least_and_how_to_see_an_explanation(
+    tmp_path, no_pictures, trade_offs, middle
+):
     jobs = [
         {"solver": solver, "lambda": trade_off, "seed": seed}
-        for solver, trade_off, seed in itertools.product(("qmdp", "qhr"), ("1", "2"), "012")
+        for solver, trade_off, seed in itertools.product(("qmdp", "qhr"), trade_offs, "012")
     ]
     handmade.sweep(
         tmp_path, jobs, lambda v, _: 1.0 + (v["solver"] == "qhr") + 0.01 * int(v["seed"])
     )
     _, report = write_report(tmp_path)
     text = (report / "index.html").read_text()
-    assert '<p class="answer">Least cost: QMDP in 2 of 2 problems (2 decided)' in text
+    said = "Least cost: QMDP in {0} of {0} problems ({0} decided)".format(len(trade_offs))
+    assert f'<p class="answer">{said}' in text
     assert "<figcaption>Regret against λ</figcaption>" in text
     (command,) = re.findall(r"<code>(python -m xplain demo .*?)</code>", text)
     words = shlex.split(html.unescape(command))
-    assert {"solver=qmdp", "lambda=1"} < set(words)
+    assert {"solver=qmdp", f"lambda={middle}"} < set(words)
     assert words[-4:] == ["--trace", "0", "--user", "A"]
 
 
@@ -170,8 +174,10 @@ def test_only_a_reproduction_of_table_1_says_it_is_one(tmp_path, known, no_pictu
 
 
 def test_the_command_finds_the_newest_sweep_and_names_what_is_wrong(sweep, run, no_pictures):
-    _, said, _ = run("report", sweep)
-    assert "Disaster rescue" in said
-    assert "index.html" in said
+    for measure in ("regret", "cost"):
+        lines = run("report", sweep, f"measure={measure}")[1].splitlines()
+        files = sorted(str(path) for path in (sweep / "report").iterdir())
+        assert lines[0].startswith(f"{measure.capitalize()}: ")
+        assert lines[-len(files) :] == files
     for arguments in ([], [sweep / "jobs"], ["--help-me"]):
         line_of(run("report", *arguments))

@@ -7,6 +7,7 @@ import importlib
 import json
 import logging
 import os
+import re
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -84,8 +85,17 @@ def test_runs_within_a_second_have_folders_of_their_own(
     assert [run.results.trade_off for run in runs] == [0.5, 1.0]
 
 
-def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(here: Path) -> None:
+def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(
+    here: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("xplain.report.stages.EVERY", 0.0)
+    monkeypatch.setattr("xplain.runs.sweep.POLL", 0.05)
+    caplog.set_level(logging.INFO, "xplain")
     sweep = xplain.sweep(*SMALL, SERIAL, solver=[QMDP(), "qhr", QHR()], trade_off=[0.5, 2])
+    told = re.findall("^sweep: (.) of 6 jobs done, 0 failed(.*)$", "\n".join(caplog.messages), re.M)
+    assert any(left for _, left in told)
+    for count, left in told:
+        assert bool(re.fullmatch(r", about 0:0\d:\d\d left", left)) == (count in "12345")
     frame = sweep.frame()
     assert frame["lambda"].tolist() == [0.5, 2] * 3
     costs = frame.pivot_table("cost", "lambda", "solver", sort=False)
@@ -128,6 +138,8 @@ def test_what_is_wrong_is_one_line(here: Path, keys: dict[str, Any], said: str) 
         assert "\n" not in str(error.value)
     with pytest.raises(InputError, match="of a run or a sweep"):
         xplain.load(here)
+    with pytest.raises(XplainError, match=r"^lambda.*=\[1, 2\]: one value; xplain\.sweep accepts"):
+        xplain.run(*SMALL, trade_off=[1, 2])
 
 
 TEXTS = ["null", "true", "1e3", "ä λ\n", "a\\'b", "${x}".replace("$", "§"), "x,y", "[1]", ""]

@@ -83,8 +83,6 @@ def test_four_at_once_on_an_empty_folder(tmp_path, finished):
     shared = made.keys() & alone.keys()
     assert (len(made), len(shared)) == (4, 2)
     assert {name: made[name] for name in shared} == {name: alone[name] for name in shared}
-    with sweeps.database(tmp_path) as database:
-        assert database.execute("pragma integrity_check").fetchone() == ("ok",)
 
 
 def test_a_sweep_that_two_processes_end_is_sent_by_one_at_a_time(tmp_path):

@@ -20,7 +20,7 @@ from tests.runs import sweeps
 from tests.runs.sweeps import output_of
 from xplain.cli.main import main
 from xplain.errors import InputError
-from xplain.experiment.results import save_results
+from xplain.experiment.results import load_results, save_results
 from xplain.runs.folder import alone, find_unlisted_results
 
 MINE = ("tracking=none", "solver=mine", "--config-dir=choices")
@@ -65,12 +65,15 @@ def test_refusals_and_dry_runs_leave_a_users_files_and_other_results(tmp_path: P
     for name in ("notes.txt", "mine/results.csv", "mine/deep/more.txt"):
         (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
         (tmp_path / name).write_text("a year of work")
-    given = (*sweeps.SINGLE, "tracking=none")
-    output_of(tmp_path, *given, "hydra.run.dir=done")
+    given = (*sweeps.SINGLE, "tracking=none", "certify.traces=1")
+    shown, made = output_of(tmp_path, *given, "hydra.run.dir=done"), load_results(tmp_path / "done")
+    for figure in (made.metrics["cost"].mean, made.bounds["policy_cost"]):
+        assert f" {figure:.3f}" in shown
     with unchanged(tmp_path):
         for place, *words in REFUSED:
             code = 0 if "dry_run=true" in words else 2
-            output_of(tmp_path, *given, f"hydra.run.dir={place}", *words, code=code)
+            said = output_of(tmp_path, *given, f"hydra.run.dir={place}", *words, code=code)
+            assert code or re.search("^(1 job, done|2 jobs: 1 done, 1 to run)$", said, re.MULTILINE)
         said = output_of(tmp_path, *given, "hydra.run.dir=done", "lambda=2", code=2)
     assert "hydra.run.dir='done': another folder" in said
 
@@ -214,7 +217,7 @@ def test_a_sweep_on_another_disk_finds_its_results(tmp_path: Path) -> None:
 
 
 def test_results_that_no_run_and_no_sweep_has_are_listed_and_deleted_when_told(
-    tmp_path: Path,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     outputs = tmp_path / "outputs"
     folder = sweeps.planned(outputs, 2)
@@ -230,6 +233,8 @@ def test_results_that_no_run_and_no_sweep_has_are_listed_and_deleted_when_told(
     main(["clean", "--outputs", str(outputs), "--delete"])
     left = {path.name for path in (outputs / "results").iterdir()}
     assert left == {"f0", "f1", "f7", "run"}
+    said = r"(.* MiB .*(lost|old)\n){2}2 .* clean --delete .*\n(.*\n){2}2 results, .*deleted\n"
+    assert re.fullmatch(said, capsys.readouterr().out)
     (folder.path / "sweep.json").write_text("not JSON")  # whose results are they?
     with pytest.raises(InputError):
         find_unlisted_results(outputs)

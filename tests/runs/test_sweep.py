@@ -58,7 +58,7 @@ def test_the_end_tells_the_table_and_the_links(finished):
     assert "\r" not in output
 
 
-def test_mlflow_has_one_parent_and_children_with_true_times(finished):
+def test_mlflow_has_one_parent_with_the_answer_and_children(finished):
     found = sweeps.runs(finished.folder)
     (parent,) = (name for name, _, parent in found if parent is None)
     assert parent == sweeps.sweep_folder(finished.folder).name
@@ -68,23 +68,12 @@ def test_mlflow_has_one_parent_and_children_with_true_times(finished):
     )
     assert {status for _, status, _ in found} == {"FINISHED"}
     with sweeps.database(finished.folder) as database:
-        times = {
-            name: (start, end)
-            for name, start, end in database.execute("select name, start_time, end_time from runs")
-        }
         (note,) = database.execute(
             "select value from tags join runs using (run_uuid) where key = 'mlflow.note.content' "
             "and runs.name = ?",
             (parent,),
         ).fetchone()
     assert note.startswith("Least cost: ")
-    # Each job's own: from its results; the sweep begins before all and ends with the last.
-    sweep = times.pop(parent)
-    for content in (json.loads(path.read_text()) for path in addresses(finished.folder)):
-        end = content["started"] + sum(content["seconds"].values())
-        name = f"{content['choices']['solver']} λ={content['config']['lambda']:g}"
-        assert times.pop(name) == (int(1000 * content["started"]), int(1000 * end))
-        assert sweep[0] <= 1000 * content["started"] <= 1000 * end < sweep[1] + 1
 
 
 def test_the_same_command_again_runs_nothing_and_all_anew_on_demand(finished):

@@ -14,6 +14,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from starlette.requests import Request
 
+from tests.conftest import Run
 from tests.people.street import street_study
 from tests.people.visitors import GENEROUS, Client, Opened, arrive, consent, enter, newcomer
 from xplain.errors import InputError
@@ -219,7 +220,9 @@ def test_after_a_backup_is_restored_nobody_is_lost(
     assert visitor.answer(again, ("agree", "1"))[2].stage == "briefing"
 
 
-def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(opened: Opened) -> None:
+def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(
+    opened: Opened, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     study = street_study()
     texts = replace(study.plan.texts, consent=("Responsible: [EDIT: your institution].",))
     store = opened(replace(study, plan=replace(study.plan, texts=texts)))
@@ -232,6 +235,17 @@ def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(opened: Op
         token = Page.of_html(client.get("/", base_url=host).text).hidden["token"]
         sent = {"token": token, "invitation": store.invite(1, "pilot")[0]}
         assert client.post("/enter", data=sent, base_url=host).status_code == status
+    store.close()
+    monkeypatch.setattr("uvicorn.run", lambda *_, **__: print("served"))
+    for address, consented, served in (
+        ("''", "own", True),
+        ("http://localhost:8080", "own", True),
+        ("https://lab.example.org", "own", False),
+        ("https://lab.example.org", "demo", True),
+    ):
+        words = (f"database={store.path}", f"server.address={address}", f"consent={consented}")
+        code, said, error = run("study", *words)
+        assert (code == 0, "served" in said, "[EDIT: …]" not in error) == (served,) * 3, error
 
 
 def test_two_studies_on_one_host_share_a_browser(store: Store, opened: Opened) -> None:

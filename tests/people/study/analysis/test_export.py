@@ -114,7 +114,8 @@ def test_tables_say_what_their_codebook_says(
 
 def test_streams_are_never_mixed(snapshot: Path, tmp_path: Path, run: Run) -> None:
     out = tmp_path / "out"
-    run("study export", snapshot, out)
+    said = run("study export", snapshot, out)[1]
+    assert said.split()[-1] == hashlib.sha256((out / "events.csv").read_bytes()).hexdigest()
     said = run("study analyse", out, "--stream", "bot")[1]
     assert "SIMULATED PARTICIPANTS" in said
     assert (out / "measures.png").stat().st_size > 10_000
