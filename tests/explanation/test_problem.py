@@ -12,7 +12,7 @@ from tests.explanation.problems import plain, random_pair
 from tests.handmade import a_file
 from tests.refusals import refused
 from xplain import InputError, Problem, TooLargeError
-from xplain.explanation.asking import Limits, Questions, make_question
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import update
 from xplain.explanation.files import load, save
 from xplain.explanation.habits import Habits
@@ -154,6 +154,8 @@ def test_a_file_of_anything_else_is_refused_in_a_line(
     [
         ("p_explicable", np.full((2, 3, 3), 0.5)),
         ("p_explicable", np.full((2, 3), 0.5)),
+        ("p_explicable", np.full((1, 1, 1 << 21), 0.5)),
+        ("p_explicable", np.array([[["a", "b"]]])),
         ("p_explicable", np.full((2, 3, 4), 1.1)),
         ("p_explicable", np.full((2, 3, 4), -0.1)),
         ("p_explicable", np.full((2, 3, 4), np.nan)),
@@ -181,15 +183,6 @@ def test_a_bad_field_is_named(key: str, value: Any) -> None:
     name = {"lambda (trade_off)": "trade_off", "p_explicable": "table"}.get(key, key)
     with refused(f"^{re.escape(key)}="):
         Problem(**values | {name: value})
-
-
-def test_a_belief_shows_its_sentences_in_the_order_given() -> None:
-    for right in (0, 1):
-        question = make_question(3, "It needs fuel.\nIt needs none.", right)
-        assert [words for words, _ in question.replies] == ["It needs fuel.", "It needs none."]
-        assert question.replies[right][1] == 1
-        assert question.replies[1 - right][1] == 0
-        assert "fuel" in str(question)
 
 
 def test_it_says_what_the_dense_table_says(rng_of_the_day: np.random.Generator) -> None:

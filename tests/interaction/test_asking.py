@@ -183,7 +183,8 @@ def test_who_never_asks_is_given_no_clips() -> None:
 
 def test_a_belief_is_asked_by_its_two_sentences_in_their_order() -> None:
     clip = Candidate(1, "It needs fuel.\nIt needs none.", right=1)
-    question = ASKING.session([0, 0, 0], clips=[clip]).next()
-    assert question.replies == (("It needs fuel.", 0), ("It needs none.", 1))
+    for right in (0, 1):
+        question = ASKING.session([0, 0, 0], clips=[replace(clip, right=right)]).next()
+        assert question.replies == (("It needs fuel.", 1 - right), ("It needs none.", right))
     with pytest.raises(InputError, match="two sentences"):
         ASKING.session([0], clips=[replace(clip, text="one")])

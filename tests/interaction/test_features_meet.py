@@ -223,9 +223,9 @@ class Situation:
         ahead, left = self.transitions[known:3], [*range(len(self.clips))]
         people, heard, cost = self.anybody, set[int | None](), 0.0
         while not session.finished:
-            if asked := bool(left) and rng.random() < 0.3:
+            if asked := bool(left) and rng.random() < 0.5:
                 session.ask(left[rng.integers(len(left))])
-            elif rng.random() < 0.3:
+            elif rng.random() < 0.5:
                 told = {f"m{j}" for j in rng.choice(self.useful, 2)}
                 session.tell(sorted(told if self.accept[0] < 1 else told - {*session.said}))
             move = session.next()
@@ -309,15 +309,16 @@ class Situation:
 
 @dataclass
 class DoesAnything:
-    """A policy that asks and tells anything, always the same at a visible state."""
+    """A policy that tells anything, then asks anything. It depends on the belief."""
 
     situation: Situation
     problem: Problem
+    seed: int
 
     def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
-        rng = np.random.default_rng(visible)
+        rng = np.random.default_rng((self.seed, *visible, int(97 * belief[0])))
         left = [q for q in range(len(self.problem.questions)) if not visible.asked >> q & 1]
-        if len(left) > 3 and rng.random() < 0.3:
+        if visible.given and len(left) > 3 and rng.random() < 0.7:
             return AskQuestion(left[rng.integers(len(left))])
         told = sum({1 << j for j in rng.choice(self.situation.useful, 2).tolist()})
         return give(told & self.problem.may_give(visible.given))
@@ -340,7 +341,7 @@ def test_a_restored_session_goes_on_and_its_belief_and_bounds_are_right(
         assert problem.n_steps == max(3, situation.expected)
         certified, values = Certified(nodes=60).plan(problem), []
         own = situation.explainer.solver.plan(problem)
-        for each in (certified, own, DoesAnything(situation, problem)):
+        for each in (certified, own, DoesAnything(situation, problem, seed)):
             policy = CachedPolicy(each)
             value = situation.evaluate(problem, policy, VisibleState(), situation.anybody)
             assert evaluate(problem, policy).value == pytest.approx(value, abs=1e-9)

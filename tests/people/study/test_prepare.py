@@ -12,7 +12,6 @@ from omegaconf import OmegaConf
 
 from tests.domains.configs import setting_of
 from tests.people.street import PLACES, TYPES, street_plan
-from xplain.domains.base import cell_name
 from xplain.experiment.config import compose_config
 from xplain.explanation.anybody import Open
 from xplain.people.map_svg import about, legend, picture
@@ -97,7 +96,6 @@ def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:
     assert in_words("a goal in row 6, column 9") == "a goal in J7"
     assert in_words("northern") == "northern"
     assert phrases_of({}, False)("moves to (2, 3)") == "moves to (2, 3)"
-    assert [cell_name(0, c) for c in (0, 25, 26)] == ["A1", "Z1", "AA1"]
 
 
 def test_needed_messages_are_smallest(study: Study) -> None:
