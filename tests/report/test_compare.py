@@ -203,6 +203,16 @@ def test_where_jobs_are_missing_the_order_is_that_of_the_differences(tmp_path):
     assert "on traces and users that all of them have" in table(summary).caption
 
 
+def test_equal_costs_are_both_the_best_and_names_are_no_markup(tmp_path, capsys):
+    jobs = product(solver="qmdp,[b]mine", seed="0,1")
+    summary = made(tmp_path, jobs, lambda v: 3.0, lambda v: 1.0)
+    said = "QMDP costs least, as does [b]mine."
+    assert answer(summary) == said
+    assert all(BEST in own for own in table(summary).frame.iloc[0, -2:])
+    print_sweep(summary)
+    assert said in capsys.readouterr().out
+
+
 def test_ways_that_share_no_problem_are_not_ranked(tmp_path):
     jobs = product(solver="qmdp,qhr", seed="0,1")
     made(tmp_path, jobs, lambda v: 3.0, lambda v: 1.0 + (v["solver"] == "qhr"))
@@ -397,6 +407,7 @@ def test_a_key_that_another_decides_is_no_dimension_but_is_in_the_csv(tmp_path):
     ]
     summary = summary_of(tmp_path, jobs)
     assert summary.shown == ["domain", "solver"]
+    assert summary.values("users.count") == ["", 2.0]  # what is not set comes first
     found = {(row["domain"], row["users.count"]) for row in rows(regret_csv(summary))}
     assert found == {("rescue", ""), ("four_rooms", "2")}
 

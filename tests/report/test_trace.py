@@ -217,7 +217,7 @@ def test_every_interval_is_inside_its_panel(least: float) -> None:
 def test_an_effect_is_the_share_with_a_message_less_the_share_without() -> None:
     """All labels have the last message, so its effect is unknown."""
     observer, given, label = np.random.default_rng(3).integers(((3,), (8,), (2,)), size=(3, 60))
-    names, nothing = ("a", "b", "c"), np.zeros(60, np.int64)
+    names, nothing = ("a long name", "b" * 20, "c" * 30), np.zeros(60, np.int64)
     dataset = Dataset(
         np.zeros((1, 1)), ("f",), names, names, observer, nothing, given | 4, label.astype(np.uint8)
     )
@@ -229,7 +229,13 @@ def test_an_effect_is_the_share_with_a_message_less_the_share_without() -> None:
         ]
         gains = [*(100 * (one - zero) for zero, one in shares), np.nan]
         np.testing.assert_allclose(drawn.lines[0].get_xydata(), [*enumerate(gains)])
-        assert [text.get_text() for text in axes.get_xticklabels()] == [*names]
+        texts = axes.get_xticklabels()
+        assert [text.get_text() for text in texts] == [*names]
+        # Turned lines of text are apart if the distance of their ends, seen along them, is a line.
+        apart = np.diff(axes.transData.transform([(0, 0), (1, 0)])[:, 0]) / figure.dpi * 72
+        assert all(
+            apart * np.sin(np.radians(text.get_rotation())) > text.get_fontsize() for text in texts
+        )
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["first", "second"]
 
 

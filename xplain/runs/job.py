@@ -74,7 +74,7 @@ class Job:
     config: Mapping[str, Any]
     choices: Mapping[str, str]
     outputs: str
-    anew: bool = False
+    anew: bool
 
     @classmethod
     def of(cls, cfg: DictConfig, choices: Mapping[str, str]) -> Job:
