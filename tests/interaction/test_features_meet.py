@@ -131,7 +131,8 @@ class Situation:
         self.messages = MANY if "many messages" in features else 3
         self.learned, own = "learned types" in features, "own table" in features
         self.rows = rng.permutation(TRANSITIONS)[:5].tolist()
-        self.rows[rng.integers(1, 3)], self.rows[4] = self.rows[0], self.rows[1]
+        self.rows[rng.integers(1, 3)] = self.rows[0]
+        self.rows[4] = self.rows[1 if seed % 2 else 4]
         self.transitions: list[Any] = [
             [float(i)] if self.learned else {"number": i} if own else i for i in self.rows
         ]
@@ -170,8 +171,9 @@ class Situation:
         user's own transitions."""
         self.pairs = [np.sort(rng.choice(self.messages, 2, replace=False)).tolist() for _ in "xyz"]
         self.values = rng.choice([0.05, 0.3, 0.95], (3, TRANSITIONS, 4))
-        if rng.random() < 0.5:  # the second message changes only answers about other transitions
+        if self.rows[0] % 2 == 0:  # the second message changes answers about others alone
             self.values[:, self.rows[:3], 2:] = self.values[:, self.rows[:3], :2]
+            self.values[:, self.rows[3], 2:] = 1 - self.values[:, self.rows[3], :2]
         table = LabelTable.by_type(self.pairs, self.values)
         names = tuple(f"m{j}" for j in range(self.messages)), ("x", "y", "z"), (0.5, 0.3, 0.2)
         if own:
