@@ -299,7 +299,7 @@ class TestQuestions:
         said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
         longest = [max(said, key=len), max((f"The robot {c.phrase}" for c in plan.clips), key=len)]
         with running(create_app(store, GENEROUS)) as url:
-            for user_type in range(2):  # the other types meet such pages too
+            for user_type in range(len(plan.roles)):
                 cell = plan.cells.index((user_type, "asking"))
                 preview(driver, url, store.researcher_key, cell)
 
@@ -319,8 +319,9 @@ class TestQuestions:
 
                 person = bot_of(asking, user_type)
                 assert take_part(driver, person, look=look) == "done"
+                if len({messages for _, messages in seen}) > 1:  # the other types meet such pages
+                    break
             assert complaints(driver) == []
-        assert len(seen) >= 2
         assert len({messages for _, messages in seen}) > 1
 
 
