@@ -66,6 +66,7 @@ BAD = [
         ["observers=file", "observers.path=absent.csv"],
         ["observers.path='absent.csv': no such file"],
     ),
+    (["sync", "nowhere"], ["folder='nowhere': a folder with results.json"]),
     (["resume=maybe"], ["resume", "maybe", "missing, failed, none"]),
     (["lambda=1,2"], ["lambda", "1,2", "add -m"]),
     (["labeler=true"], ["labeler", "true", "truth"]),
@@ -96,6 +97,9 @@ LABELS = [
     ("\x00\x01", ["labels.csv"]),
     (f"{HEAD}\na,,1,0,0\na,,1,0,1\nb,fire,0,0,0\nb,fire,0,0,1\n", ["action", "missing"]),
 ]
+USABLE = f"observer,messages,label,{STEP}\n" + "".join(
+    f"{one},,{cell % 2},{cell},0,up,{cell},0\n" for one in "ab" for cell in range(4)
+)
 OF_FILE = ["observers=file", "observers.path=labels.csv"]
 
 
@@ -104,6 +108,7 @@ OF_FILE = ["observers=file", "observers.path=labels.csv"]
     [
         *(pytest.param(*one, None, id=" ".join(one[0])[:40]) for one in BAD),
         *(pytest.param(OF_FILE, words, labels) for labels, words in LABELS),
+        (["observe", *OF_FILE], ["observers='file': simulated"], USABLE),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing_behind(

@@ -13,7 +13,7 @@ from xplain.experiment.pipeline import PreparedData
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
-from xplain.interaction.explainees import Exact
+from xplain.interaction.explainees import Exact, Heedless
 from xplain.solvers.base import Knowledge
 
 COSTS = Costs(
@@ -132,6 +132,15 @@ def test_the_user_answers_by_the_labels_of_their_own_type():
         for k in range(3):
             given = 3 if k >= told_at else 0
             assert record.episode.labels[k, : k + 1].tolist() == table[: k + 1, given].tolist()
+
+
+def test_only_who_knows_the_labels_knows_who_listens():
+    spies = {knows: Spy(knows) for knows in ("types", "type", "everyone", "labels")}
+    heedless = Heedless(accept=0.5, forget=0.25)
+    evaluate(a_prepared(steps=(2,)), COSTS, spies, Independent(), heedless, 0)
+    for knows, spy in spies.items():
+        rates = {(*p.habits.accept, *p.habits.forget) for p, _ in spy.planned}
+        assert rates == {(0.5, 0.25) if knows == "labels" else (1.0, 0.0)}, knows
 
 
 def test_every_trace_has_a_seed_of_its_own_and_solvers_share_it():

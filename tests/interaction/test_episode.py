@@ -22,6 +22,7 @@ from xplain.interaction.explainees import (
     Sticky,
 )
 from xplain.solvers.base import CachedPolicy
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.simple import Silent
 
 
@@ -200,6 +201,24 @@ def test_messages_are_taken_in_and_facts_lost_with_their_probabilities(
 def told(person, new: int):
     person.hear(new)
     return person
+
+
+class Annoyed(Heedless):
+    """Users who hear no message that they know already."""
+
+    def hear(self, user: SimulatedUser, new: int) -> None:
+        assert not user.knows & new
+        super().hear(user, new)
+
+
+def test_who_sees_what_is_known_says_a_message_again_when_it_is_forgotten():
+    people, steps = Annoyed(accept=1, forget=0.3), 6
+    certain = np.tile([0.0, 1.0], (1, steps, 1))
+    problem = Problem(table=certain, message_cost=np.array([0.1])).with_habits(people.habits)
+    policy = CachedPolicy(QMDP().plan(problem))
+    for seed in range(20):
+        person = people.meet(LabelTable.dense(certain), np.arange(steps), seed)
+        assert explain(problem, policy, person, Independent(), True).labels.diagonal().all()
 
 
 def test_what_was_told_again_may_be_taken_in_then() -> None:

@@ -226,5 +226,7 @@ def test_a_longer_list_begins_with_the_shorter():
     h = random_hypotheses(2)
     short, long = battery(h, seed=3), battery(h, seed=3, at_least=40)
     assert len(long[0]) >= 40
-    for one, other in zip(short, long, strict=True):
+    enough = battery(h, seed=3, at_least=len(short[0]))
+    for one, same, other in zip(short, enough, long, strict=True):
         assert np.array_equal(one, other[: len(one)])
+        assert np.array_equal(one, same)

@@ -82,6 +82,7 @@ SOLVERS = [
     ("values_belong", Spoilt(values=lambda p, x, v, b: {EXPLAIN: float("nan")})),
     ("values_belong", Spoilt(values=lambda p, x, v, b: {GiveMessages(1 << x.n_messages): 0.0})),
     ("leaves_problem", Spoilt(change_belief)),
+    ("leaves_problem", Spoilt(values=change_belief)),
     *(
         ("says_nothing", Spoilt(lambda p, x, v, b, at=at: GiveMessages(1) if at(x, v) else EXPLAIN))
         for at in (
@@ -146,7 +147,7 @@ DOMAINS = [
             rescue,
             model=lambda d, values, made=[0]: (
                 made.append(count_wrong(values))
-                or replace(d.model(values), discount=9 / 10 ** max(made))
+                or replace(d.model(values), discount=0.9 - 0.1 * max(made))
             ),
         ),
     ),
