@@ -283,6 +283,13 @@ def test_an_unclear_tie_or_no_plan_is_an_error_that_names_the_model(
         GoalTask.solve([two_ways(), task], ["the first", "the second"])
 
 
+def test_a_free_action_makes_sense_only_on_the_way_to_the_goal() -> None:
+    edges = {(0, 0): 1, (1, 1): 0, (1, 2): 2, (0, 3): 0}  # there and back, on, and around
+    cost, transitions = np.eye(4)[2], np.array([(*edge, after) for edge, after in edges.items()])
+    task = GoalTask(space_of(edges, 3, 4), cost, np.arange(3) == 2, 100.0, 0)
+    assert task.labels(transitions).tolist() == [True, False, True, False]
+
+
 def test_an_imagined_state_is_judged_in_place_of_the_real_one() -> None:
     """People who take state 0 for state 1 find the way through 1 and the jump inexplicable. They
     need no plan from state 0."""

@@ -136,11 +136,9 @@ def test_the_user_answers_by_the_labels_of_their_own_type():
 
 def test_only_who_knows_the_labels_knows_who_listens():
     spies = {knows: Spy(knows) for knows in ("types", "type", "everyone", "labels")}
-    heedless = Heedless(accept=0.5, forget=0.25)
-    evaluate(a_prepared(steps=(2,)), COSTS, spies, Independent(), heedless, 0)
+    evaluate(a_prepared(steps=(2,)), COSTS, spies, Independent(), Heedless(0.5, 0.25), 0)
     for knows, spy in spies.items():
-        rates = {(*p.habits.accept, *p.habits.forget) for p, _ in spy.planned}
-        assert rates == {(0.5, 0.25) if knows == "labels" else (1.0, 0.0)}, knows
+        assert {one.habits.take_all_in for one, _ in spy.planned} == {knows != "labels"}, knows
 
 
 def test_every_trace_has_a_seed_of_its_own_and_solvers_share_it():

@@ -212,12 +212,11 @@ class Annoyed(Heedless):
 
 
 def test_who_sees_what_is_known_says_a_message_again_when_it_is_forgotten():
-    people, steps = Annoyed(accept=1, forget=0.3), 6
-    certain = np.tile([0.0, 1.0], (1, steps, 1))
+    people = Annoyed(accept=1, forget=0.3)
+    certain = np.tile([0.0, 1.0], (1, 6, 1))
     problem = Problem(table=certain, message_cost=np.array([0.1])).with_habits(people.habits)
     policy = CachedPolicy(QMDP().plan(problem))
-    for seed in range(20):
-        person = people.meet(LabelTable.dense(certain), np.arange(steps), seed)
+    for person in (people.meet(LabelTable.dense(certain), np.arange(6), i) for i in range(20)):
         assert explain(problem, policy, person, Independent(), True).labels.diagonal().all()
 
 

@@ -275,8 +275,7 @@ def test_what_one_person_tells_equals_enumeration(seed: int) -> None:
 def test_who_comes_next_begins_with_the_mean_of_those_before() -> None:
     """Shares are among people who believe what the hypotheses can say."""
     beliefs = [{"0": 0.5, "3": 0.3, "none": 0.2}, {"3": 1.0}, {"none": 1.0}]
-    wanted = {"0": 0.625 / 3, "3": 1.375 / 3}
-    assert mean_posterior(beliefs) == pytest.approx(wanted, abs=1e-6)
+    assert mean_posterior(beliefs) == pytest.approx({"0": 0.625 / 3, "3": 1.375 / 3}, abs=1e-6)
 
 
 @pytest.mark.parametrize(
