@@ -63,7 +63,11 @@ def end_on_signals() -> None:
     for number in heard:
         signal.signal(number, interrupt)
     if signal.SIGINT in heard:
-        resource_tracker.ensure_running()  # a later start would remove the block
+        from joblib.externals.loky.backend import resource_tracker as tracker_of_joblib
+
+        # A tracker that starts later removes the block: Python's, and that of joblib before 1.6.
+        resource_tracker.ensure_running()
+        tracker_of_joblib.ensure_running()
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # workers inherit this
         threading.Thread(target=wait, daemon=True).start()
 
