@@ -123,7 +123,7 @@ def compose_config(name: str, overrides: Sequence[str], with_hydra: bool = False
 def make_object(node: Mapping[str, Any], **options: bool) -> Any:
     """Makes the object that a resolved node describes, by Hydra's ``instantiate``."""
     # Hydra resolves a configuration before it reads it, so its texts are read twice.
-    return instantiate(escape(escape(dict(node))), **options)
+    return instantiate(escape(escape(node)), **options)
 
 
 def search_path(key: str, folder: str | None) -> list[str]:
