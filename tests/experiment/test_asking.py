@@ -25,7 +25,7 @@ from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import observe, with_others
 from xplain.experiment.results import EPISODES, episode_lines
 from xplain.explanation.asking import SENSE, Limits, Pool
-from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.belief import Independent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.explainees import Exact, Heedless, Slips, Unseen
 from xplain.interaction.metrics import Record, summarise
@@ -168,18 +168,6 @@ def test_who_missed_a_message_answers_without_it() -> None:
 def test_true_labels_answer_questions_too() -> None:
     for case in with_true_labels(world(*CLIPS)[0]).cases:
         assert case.questions.learned is case.questions.labels
-
-
-def test_users_who_err_are_asked_twice() -> None:
-    """Users who err get more questions, because an alike clip may then be asked again."""
-    prepared, costs = world(*CLIPS)
-    cheap = replace(costs, asking=Limits(0.01))
-    asked = []
-    for error in (0.0, 0.2):
-        update = Persistent(error)
-        records = evaluate(prepared, cheap, {"solver": QMDP()}, update, Exact(), 0)
-        asked.append(np.mean([record.episode.n_questions for record in records]))
-    assert asked[1] > asked[0] > 0
 
 
 @pytest.mark.parametrize(

@@ -154,6 +154,9 @@ def test_simulated_values_come_with_the_error_of_their_mean():
     assert high == pytest.approx(found["optimal_upper"] - value + np.mean(margins))
     assert low == pytest.approx(found["optimal_lower"] - value - np.mean(margins))
     assert low > 0.1  # each trace's is: none was cut at 0
+    half = stats.t.ppf(0.975, 399) * error
+    ends = found["policy_value_low"], found["policy_value_high"]
+    assert ends == pytest.approx((value - half, value + half))
 
 
 def test_only_the_first_traces_count():
@@ -168,20 +171,6 @@ def test_a_trace_that_comes_again_counts_again():
     first, second = PREPARED.cases
     found = found_for(QMDP(), with_cases(PREPARED, first, second, first))
     assert found["known_type_value"] == pytest.approx((2 * KNOWN[0] + KNOWN[1]) / 3)
-
-
-def test_the_error_is_the_spread_of_the_value_over_seeds_also_where_traces_come_again():
-    first, second = PREPARED.cases[::-1]
-    prepared = with_cases(PREPARED, first, first, second)
-    effort = {"traces": 3, "beliefs": 0, "episodes": 30, "nodes": 1}
-    found = [found_for(QMDP(), prepared, seed, **effort) for seed in range(60)]
-    spread = np.std([each["policy_value"] for each in found], ddof=1)
-    said = np.sqrt(np.mean([each["policy_value_se"] ** 2 for each in found]))
-    assert 0.69 < said / spread < 1.5  # four standard deviations of a spread over 60
-    for each in found[:3]:
-        half = stats.t.ppf(0.975, 29) * each["policy_value_se"]
-        assert each["policy_value_high"] - each["policy_value"] == pytest.approx(half)
-        assert each["policy_value"] - each["policy_value_low"] == pytest.approx(half)
 
 
 def test_traces_alike_to_the_types_are_not_alike_to_everyone():

@@ -12,13 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xplain import InputError, LabelTable, Problem
+from tests.refusals import refused
+from xplain import LabelTable, Problem
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.anybody import Open
 from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.belief import Facts, Independent, update, update_by_answer
+from xplain.explanation.belief import Facts, Independent, fact_sets, update, update_by_answer
 from xplain.explanation.habits import PAPER, Habits, habits_of
-from xplain.explanation.listening import PRIOR_PEOPLE, ExplanationRecord, learn_habits
+from xplain.explanation.listening import ExplanationRecord, learn_habits
 from xplain.explanation.message_sets import indices
 from xplain.solvers.bounds import bounds
 from xplain.solvers.greedy import Conformant
@@ -51,15 +52,18 @@ def world(rng: np.random.Generator, n: int = N, steps: int = STEPS, questions: i
     return 0.05 + 0.9 * labels, wrong, problem, Facts(first, wrong, second, 0.2)
 
 
-def enumerated(labels: np.ndarray, wrong: tuple[int, ...], n: int, ways: Any) -> Iterator[Any]:
+def enumerated(
+    labels: np.ndarray, wrong: tuple[int, ...], n: int, ways: Any, known: bool
+) -> Iterator[Any]:
     """Lists (share, user type, facts after messages, slip, guess) of everybody, except people whose
-    answers are random."""
+    answers are random. Only people of the found types are listed if facts are not ``known``."""
     every = (1 << n) - 1
     candidates = {0, every, *(1 << j for j in range(n))}
     candidates |= {a | b for a, b in combinations(wrong, 2)}
-    others = sorted(candidates - {*wrong})
+    others = sorted(candidates - {*wrong}) if known else []
     sizes = {one.bit_count() for one in others}
-    shares = [(one, t, 0.8 * p) for t, (one, p) in enumerate(zip(wrong, (0.3, 0.7), strict=True))]
+    found = enumerate(zip(wrong, (0.3, 0.7), strict=True))
+    shares = [(one, t, (0.8 if known else 1) * p) for t, (one, p) in found]
     for one in others:
         alike = sum(other.bit_count() == one.bit_count() for other in others)
         shares.append((one, 2, 0.2 / len(sizes) / alike))
@@ -84,16 +88,19 @@ def enumerated(labels: np.ndarray, wrong: tuple[int, ...], n: int, ways: Any) ->
 
 def test_the_belief_is_that_over_everybody(rng_of_the_day: np.random.Generator) -> None:
     """The shares of people by their way of answering are the assumed ones, or learned. In some
-    problems all who listen err."""
+    problems all who listen err, or a share of them that is assumed as well."""
     rng = rng_of_the_day
     assumed = np.array([0.8 * 0.99, 1 / 15, 1 / 15, 1 / 15, 0.8 * 0.01])
     for known in range(10):
         labels, wrong, problem, facts = world(rng)
         ways = rng.dirichlet(np.ones(5)) if known % 2 else assumed
         habits = replace(PAPER, ways=ways) if known % 2 else None
-        opened = Open(0.1 * (known % 3 == 0)).people(problem, habits, facts)
-        listed = ways if known % 3 else [0, ways[0] + ways[1], *ways[2:]]
-        people = list(enumerated(labels, wrong, N, listed))
+        err = (1.0, 0.0, 0.6)[known % 3]
+        error = {0.0: 1 - err, 0.1: err} if err else 0.0
+        opened = Open(error).people(problem, habits, facts if known < 7 else None)
+        listens = ways[0] + ways[1]
+        listed = [(1 - err) * listens, err * listens, *ways[2:]] if err else ways
+        people = list(enumerated(labels, wrong, N, listed, known < 7))
         weights, coin = np.array([share for share, *_ in people]), ways[3]
         belief, told = opened.start, 0
         for step in range(STEPS):
@@ -156,10 +163,11 @@ def test_without_facts_the_rest_are_people_whose_answers_tell_nothing() -> None:
     np.testing.assert_allclose(opened.table.p[..., nobody][..., 0], mean)
 
 
-def test_more_messages_than_twelve_are_planned_for_as_before() -> None:
+@pytest.mark.parametrize("n", [12, 13])
+def test_more_messages_than_twelve_are_planned_for_as_before(n: int) -> None:
     p = np.random.default_rng(0).random((2, 2, 8))
-    problem = Problem(LabelTable.by_type([[0, 3, 12], [1, 2, 11]], p), np.ones(13))
-    assert Open().people(problem, None, None) is problem
+    problem = Problem(LabelTable.by_type([[0, 3, n - 1], [1, 2, 10]], p), np.ones(n))
+    assert (Open().people(problem, None, None) is problem) == (n > 12)
 
 
 def test_missed_messages_are_habits_of_everybody() -> None:
@@ -234,7 +242,8 @@ def test_what_one_explanation_tells_equals_enumeration(seed: int) -> None:
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=10)
 def test_the_shares_are_the_mode_of_their_posterior(seed: int) -> None:
-    """The shares are compared with all shares of two habits on a fine grid."""
+    """The shares are compared with all shares of two habits on a fine grid. The assumed shares
+    count as five people."""
     rng = np.random.default_rng(seed)
     problem = Problem(rng.random((2, 2, 4)), np.ones(2))
     habits = Habits([0.0, 0.2], [1.0, 0.5], [0.0, 0.2], [0.7, 0.3])
@@ -249,7 +258,7 @@ def test_the_shares_are_the_mode_of_their_posterior(seed: int) -> None:
     likely = np.array([habits_by_hand(one, habits) for one in people]) / habits.prior
     share = np.linspace(0, 1, 10_001)[1:-1]
     shares = np.stack([share, 1 - share])
-    log = np.log(likely @ shares).sum(axis=0) + PRIOR_PEOPLE * habits.prior @ np.log(shares)
+    log = np.log(likely @ shares).sum(axis=0) + 5 * habits.prior @ np.log(shares)
     assert learn_habits(people, habits).prior[0] == pytest.approx(share[log.argmax()], abs=2e-4)
 
 
@@ -273,9 +282,36 @@ def test_rates_come_with_their_shares_among_people() -> None:
     assert both.shares("accept") == {0.8: 0.25, 1: 0.75}
 
 
+NO_RATES = [True, "often", {}, {0.3: 0}, {0.3: -1}, {0.3: "x"}, {"x": 1}, [0.3]]
+OUTSIDE = {"error": (-0.1, 0.5), "accept": (0, 1.2), "forget": (-0.1, 1)}
+
+
 @pytest.mark.parametrize(
-    "accept", [0, 1.2, True, "often", {}, {1: 0}, {0: 1}, {0.5: -1}, {0.5: "x"}, {"x": 1}, [0.5]]
+    ("key", "rate"),
+    [(key, one) for key, own in OUTSIDE.items() for one in (*own, {own[1]: 1}, *NO_RATES)],
 )
-def test_what_is_no_rate_is_refused_with_what_is(accept: Any) -> None:
-    with pytest.raises(InputError, match=r"^belief\.accept=.*\{rate: share, …\}"):
-        Independent(accept=accept)
+def test_what_is_no_rate_is_refused_with_what_is(key: str, rate: Any) -> None:
+    with refused(rf"^belief\.{key}=.*\{{rate: share, …\}}"):
+        Independent(**{key: rate})
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (np.full((4, 46), 1 / 46), "habits=46: 1 to 45 habits"),
+        (np.empty((4, 0)), "habits=0"),
+        ([[0.1], [1.0], [0.0, 0.1], [1.0]], "each with all rates"),
+        ([[0.1], [1.0], [0.0], [1.0], np.ones(4) / 4], r"habits\.ways=.*5 shares"),
+        ([[0.1], [1.0], [0.0], [1.0], [1.5, -0.5, 0, 0, 0]], r"habits\.ways=.*sum to 1"),
+        ([[0.1] * 2, [1.0] * 2, [0.0] * 2, [1.5, -0.5]], r"habits\.prior=.*sum to 1"),
+        ([[0.1] * 2, [1.0] * 2, [0.0] * 2, [0.5, 0.5001]], r"habits\.prior=.*sum to 1"),
+        ([[0.5], [1.0], [0.0], [1.0]], r"habits\.error=0\.5"),
+    ],
+)
+def test_habits_are_few_and_their_shares_sum_to_one(values: Any, said: str) -> None:
+    with refused(said):
+        Habits(*values)
+
+
+def test_a_fact_that_as_many_believe_incorrectly_as_not_is_one_of_the_types() -> None:
+    assert fact_sets(np.array([[0.5, 0.49, 1.0], [0.0, 0.51, 0.4]])) == (0b101, 0b010)

@@ -105,6 +105,8 @@ def test_a_mixture_by_hand() -> None:
     mixed = problem.mixture(problem.prior)
     assert mixed.p_explicable.tolist() == [[pytest.approx([0.5, 0.6])]]
     assert (mixed.prior.tolist(), mixed.n_types) == ([1], 1)
+    sure = LabelTable.dense(np.ones((3, 1, 2)))  # with weights that sum to more than 1
+    assert sure.mix_types(np.array([0.5, 0.3, 0.2 + 1e-9])).p.max() == 1
 
 
 @pytest.mark.parametrize(
@@ -154,6 +156,9 @@ def test_a_file_of_anything_else_is_refused_in_a_line(
     [
         ("p_explicable", np.full((2, 3, 3), 0.5)),
         ("p_explicable", np.full((2, 3), 0.5)),
+        ("p_explicable", np.empty((0, 3, 4))),
+        ("p_explicable", np.empty((2, 0, 4))),
+        ("p_explicable", np.empty((2, 3, 0))),
         ("p_explicable", np.full((1, 1, 1 << 21), 0.5)),
         ("p_explicable", np.array([[["a", "b"]]])),
         ("p_explicable", np.full((2, 3, 4), 1.1)),
@@ -175,13 +180,19 @@ def test_a_file_of_anything_else_is_refused_in_a_line(
         ("discount_per", "minute"),
         ("message_names", ("one",)),
         ("type_names", ("one", "two", "three")),
+        ("habits", Habits(*np.full((4, 3), 1 / 3))),  # of four hidden types
+        ("copies", np.array([0, 1])),
+        ("copies", np.array([0, 2, 1])),
+        ("copies", np.array([0, -1, 0])),
+        ("whose", np.zeros(3, np.int64)),
+        ("as_found", np.ones(5, np.bool_)),
     ],
 )
 def test_a_bad_field_is_named(key: str, value: Any) -> None:
     values = {field.name: getattr(unusual(), field.name) for field in fields(Problem)}
     values["table"] = unusual().p_explicable
     name = {"lambda (trade_off)": "trade_off", "p_explicable": "table"}.get(key, key)
-    with refused(f"^{re.escape(key)}="):
+    with refused(f"^{re.escape(key.replace('as_found', 'whose'))}="):
         Problem(**values | {name: value})
 
 

@@ -12,13 +12,9 @@ from sklearn.ensemble import GradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
-from tests.domains.configs import domain_of
 from tests.learning.conftest import made
-from xplain import Clustering, Setting, TooLargeError
-from xplain.domains.users.types import RandomCover
+from xplain import Clustering, TooLargeError
 from xplain.learning.data.dataset import Dataset, query_index
-from xplain.learning.data.observers import SimulatedObservers
-from xplain.learning.data.queries import Independent, Shared
 from xplain.learning.labelers import FittedLabeler, LabelerTrainer, fresh_accuracy, split
 from xplain.learning.prediction import (
     calibration,
@@ -164,39 +160,23 @@ def test_siblings_under_one_message_set_do_not_help(rng: np.random.Generator) ->
     assert abs(fresh_accuracy(dataset, LabelerTrainer(), 0) - 0.5) < 4 * (0.25 / 128) ** 0.5
 
 
-def test_each_question_counts_once(rng: np.random.Generator) -> None:
-    dataset, _ = made(rng, [[0, 1]], noise=0.2, per_type=1)
-    repeated = dataset.take(np.tile(np.arange(len(dataset)), 3))
-    once, thrice = (fresh_accuracy(data, LabelerTrainer(), 4) for data in (dataset, repeated))
-    assert once == thrice
-
-
-def test_it_is_what_fresh_questions_show() -> None:
-    """With sixty labels of each observer and the same questions for all, this figure is right
-    within two standard errors, and the accuracy on held-out (transition, message set) is too
-    high."""
-    domain = domain_of("domain=four_rooms")
-    gaps = []
-    for seed in range(8):
-        types = RandomCover(3).types(domain, np.random.default_rng(seed))
-        setting = Setting.build(domain, types)
-        observed = SimulatedObservers(points=60).collect(setting, Shared(), seed)
-        dataset, truth = observed.dataset, observed.truth
-        people = SimulatedObservers(1, 1000)
-        observed = people.collect(setting, Independent(), seed + 10**6)
-        later, theirs = observed.dataset, observed.truth
-        for user_type in range(len(types)):
-            own = dataset.of(np.flatnonzero(truth == user_type))
-            new = later.of(np.flatnonzero(theirs == user_type))
-            labeler = LabelerTrainer().fit(own, seed)
-            said = labeler.predict(new.features[new.transition], new.message_set)
-            actual = (said == new.label).mean()
-            fresh = fresh_accuracy(own, LabelerTrainer(), seed)
-            gaps.append((labeler.accuracy - actual, fresh - actual))
-    held_out, fresh_gap = np.mean(gaps, axis=0)
-    error = np.std(gaps, axis=0, ddof=1) / len(gaps) ** 0.5
-    assert held_out > 2 * error[0]
-    assert abs(fresh_gap) < 2 * error[1]
+@pytest.mark.parametrize(("holdout", "n"), [(0.25, 2), (0.9, 1)])
+def test_fresh_questions_have_message_sets_that_were_not_learned_from(
+    rng: np.random.Generator, holdout: float, n: int
+) -> None:
+    """Each of the message sets is left out once. Each question counts once."""
+    dataset, _ = made(rng, [[0, 1], [1]], noise=0.2, n=n)
+    trainer, right = LabelerTrainer(holdout=holdout), np.empty(len(dataset))
+    for told in range(1 << n):
+        new = dataset.message_set == told
+        labeler = trainer.fit(dataset.take(np.flatnonzero(~new)), 4)
+        said = labeler.predict(dataset.features[dataset.transition], dataset.message_set)
+        right[new] = (said == dataset.label)[new]
+    queries = query_index(dataset)
+    shares = [right[queries == query].mean() for query in np.unique(queries)]
+    assert fresh_accuracy(dataset, trainer, 4) == pytest.approx(np.mean(shares))
+    alone = dataset.take(np.flatnonzero(dataset.message_set == 0))
+    assert np.isnan(fresh_accuracy(alone, trainer, 4))
 
 
 def test_who_gave_no_label_before_is_predicted_by_everybodys(rng: np.random.Generator) -> None:

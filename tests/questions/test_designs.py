@@ -198,7 +198,7 @@ def test_every_pair_is_separated_as_often_as_asked_and_no_oftener(seed, redundan
 
 def test_six_facts_seen_one_by_one_need_six_questions():
     h = Hypotheses.of(1 - (np.arange(64)[:, None] >> np.arange(6) & 1))
-    transitions, told = battery(h)
+    transitions, told = battery(h, 1, 0)
     assert sorted(transitions.tolist()) == list(range(6))
     assert not told.any()  # no message needs to be read
 
@@ -224,9 +224,11 @@ def test_of_questions_that_separate_the_same_the_shortest_is_asked():
 
 def test_a_longer_list_begins_with_the_shorter():
     h = random_hypotheses(2)
-    short, long = battery(h, seed=3), battery(h, seed=3, at_least=40)
+    short, long = battery(h, 1, 3), battery(h, 1, 3, at_least=40)
     assert len(long[0]) >= 40
-    enough = battery(h, seed=3, at_least=len(short[0]))
+    # Eight candidates are separated by seven questions, or fewer: 40 questions do this five times.
+    assert min(separated(h, *long).values()) >= 5
+    enough = battery(h, 1, 3, at_least=len(short[0]))
     for one, same, other in zip(short, enough, long, strict=True):
         assert np.array_equal(one, other[: len(one)])
         assert np.array_equal(one, same)

@@ -441,10 +441,10 @@ def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
     """
     query = query_index(dataset)
     count = int(query.max()) + 1
-    held = round(holdout * count) if count < 2 else min(max(round(holdout * count), 1), count - 1)
+    held = min(max(round(holdout * count), 1), count - 1)
     order = stream(seed, "labeler", "split").permutation(count)
     out = np.zeros(count, dtype=bool)
-    out[order[: held if count > 1 else 0]] = True
+    out[order[:held]] = True
     return np.asarray(out[query])
 
 

@@ -33,9 +33,7 @@ QuestionList = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Transitions [Q] and message sets [Q]."""
 
 
-def battery(
-    hypotheses: Hypotheses, redundancy: int = 1, seed: int = 0, at_least: int = 0
-) -> QuestionList:
+def battery(hypotheses: Hypotheses, redundancy: int, seed: int, at_least: int = 0) -> QuestionList:
     """Chooses one list of questions for everybody. Questions that separate most pairs of candidates
     come first. Among questions that separate the same pairs, questions about new transitions with
     few messages come first.
@@ -335,7 +333,7 @@ def _find_likely(questions: Questionnaire) -> Posterior:
     """Returns the candidates with their probabilities, after all answers of an observer. If
     further candidates can be added to the hypotheses, unlikely candidates are left out."""
     known, posterior = questions.hypotheses, questions.posterior / questions.posterior.sum()
-    kept = posterior >= (0.0 if known.further is None else KEPT)
+    kept = posterior >= KEPT * (known.further is not None)
     return known.facts[kept], posterior[kept] / posterior[kept].sum()
 
 
