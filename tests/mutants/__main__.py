@@ -133,7 +133,7 @@ def noticed(mutant: Mutant, copy: Path, scratch: Path) -> str:
     mutated = operators.mutate(source, mutant.operator, mutant.occurrence)
     assert mutated is not None
     kernels = scratch / "kernels"
-    if "njit" in source:  # numba does not see edits of what a compiled function calls
+    if "numba" in source:  # numba does not see edits of what a compiled function calls
         kernels = Path(tempfile.mkdtemp(dir=scratch))
     environment = os.environ | {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(kernels)}
     command = [sys.executable, "-B", "-m", "pytest", "-qx"]

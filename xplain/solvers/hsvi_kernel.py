@@ -22,10 +22,10 @@ sawtooth; Hauskrecht 2000).
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, uint64
+from numba import uint64
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import GOLDEN, first_bit, part, search, small, splitmix64
+from xplain.numba_kernels import GOLDEN, first_bit, inner, part, search, small, splitmix64
 from xplain.solvers.search_model import (
     NO_NEWS,
     SearchModel,
@@ -359,7 +359,7 @@ def _choose_action(tables, store, scratch, index, allowed, tail_gap):  # type: i
     return chosen
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _back_up(store, index, a):  # type: ignore[no-untyped-def]
     """Computes both bounds of an expanded action and of its node, from the bounds of the answers'
     nodes."""
@@ -382,7 +382,7 @@ def _back_up(store, index, a):  # type: ignore[no-untyped-def]
     node.lower = min(best_lower, node.upper)
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _improve_bounds(tables, store, index):  # type: ignore[no-untyped-def]
     """Improves a node's bounds by the bounds that were published at its place."""
     node, belief = store.nodes[index], store.belief[index]
@@ -443,7 +443,7 @@ def _have_same_questions(store, index, other):  # type: ignore[no-untyped-def]
     return alike
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _publish(tables, store, scratch, index, upper, lower, least):  # type: ignore[no-untyped-def]
     """Publishes a node's upper or lower bound for the other nodes of its place, if the bound has
     improved by more than ``least``.
@@ -517,7 +517,7 @@ def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-de
     store.used[WORK] += action.n_answers
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _open_node(tables, store, scratch, index):  # type: ignore[no-untyped-def]
     """Lists the actions that may be optimal at a node. Returns False if the store is full."""
     node, belief = store.nodes[index], store.belief[index]
@@ -638,7 +638,7 @@ def _is_dominated(over, under):  # type: ignore[no-untyped-def]
     return dominated
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _expand_action(tables, store, scratch, index, a, gap):  # type: ignore[no-untyped-def]
     """Makes the nodes of the answers to an action. Unlikely answers are left out while this widens
     the gap by at most ``gap``. Returns False if the store or the scratch memory is full."""
@@ -816,7 +816,7 @@ def _get_node(tables, store, step, given, belief, asked):  # type: ignore[no-unt
     return index
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _find_best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
     """Returns the plan with the largest value at (k, v) and a belief."""
     best, most = 0, -np.inf
@@ -827,7 +827,7 @@ def _find_best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def
     return best
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _find_slot(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """Returns the slot of this belief's node, or the free slot where the node belongs."""
     mask = uint64(len(store.table) - 1)

@@ -13,13 +13,14 @@ get the same code with probability 2^-64.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, uint64
+from numba import uint64
 from numpy.typing import NDArray
 
 from xplain.numba_kernels import (
     GOLDEN,
     count_bits,
     first_bit,
+    inner,
     next_uniform,
     nth_bit,
     part,
@@ -508,7 +509,7 @@ def _find_wanted(wanted, cells, step, said):  # type: ignore[no-untyped-def]
     return np.int64(SETTLED) if settled else mask & ~said
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _evaluate_qmdp(model, scratch, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
     """Evaluates QMDP at a belief: max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages.
 
@@ -578,7 +579,7 @@ def roll(model, codes, scratch, missed, step, said, belief, states, weights, see
     return total
 
 
-@njit(nogil=True, error_model="numpy")
+@inner
 def _roll_out(model, codes, scratch, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
     """Simulates QMDP with exact beliefs for a user in this state; returns the estimated return.
 
@@ -703,7 +704,7 @@ def _find_coded_slot(model, codes, scratch, shown):  # type: ignore[no-untyped-d
     return slot
 
 
-@njit(nogil=True)
+@inner
 def _code_labels(answered, cells, labels, columns):  # type: ignore[no-untyped-def]
     """Fills this slot of ``codes.labels`` and ``codes.columns`` for the messages whose cells are
     given."""
@@ -763,7 +764,7 @@ def _update_by_answer(model, question, said, answer, belief):  # type: ignore[no
         belief[s] /= total
 
 
-@njit(nogil=True)
+@inner
 def _list_questions(model, tree, scratch, node, step, said, belief):  # type: ignore[no-untyped-def]
     """Lists in ``tree.tried`` the most informative questions at a node that begins a step; returns
     their number."""

@@ -14,15 +14,14 @@ references to the row, and this takes longer than the inner loops.
 """
 
 import numpy as np
-from numba import njit
 
-from xplain.numba_kernels import kernel, part
+from xplain.numba_kernels import inner, kernel, part
 
 REACH = 64
 """Largest |ones − zeros| in the tables; beyond it, the label of a cell is certain."""
 
 
-@njit(nogil=True)
+@inner
 def pack(subsets, z, mask):  # type: ignore[no-untyped-def]
     """Returns an integer whose bit i is the bit of ``mask`` for the i-th fact of subset z."""
     packed = 0
@@ -33,7 +32,7 @@ def pack(subsets, z, mask):  # type: ignore[no-untyped-def]
     return packed
 
 
-@njit(nogil=True)
+@inner
 def table_row(ahead):  # type: ignore[no-untyped-def]
     """Returns the row of the tables of :class:`~xplain.learning.mixture.sampler.Prior` for
     ``ahead``, the number of labels 1 minus the number of labels 0 in a cell."""
@@ -51,7 +50,7 @@ def log_cell_of(zeros, ones, c, e, prior):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit(nogil=True)
+@inner
 def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
     """Adds the labels of observer ``o`` to the counts of their cells in ``state.counts``
     (``sign`` 1), or removes them (``sign`` −1). The cells follow from ``state.facts[o]``, the
@@ -64,7 +63,7 @@ def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
         count[t, pack(subsets, subset[t], facts) & ~given[p], label[p]] += sign
 
 
-@njit(nogil=True)
+@inner
 def draw(log_weight, size, temperature, rng):  # type: ignore[no-untyped-def]
     """Draws an index below ``size`` with probability ∝ exp(log weight / temperature). Returns the
     index, and the log of the sum of the weights at temperature 1."""
@@ -127,7 +126,7 @@ def resample_subsets(answers, prior, state, held, temperature, rng):  # type: ig
     return score
 
 
-@njit(nogil=True)
+@inner
 def _count_answers(t, answers, held, block, number, wrong, times):  # type: ignore[no-untyped-def]
     """Counts the labels of transition t by M. The counts can be used for every S_τ within
     ``block``, a bitmask of facts.
@@ -152,7 +151,7 @@ def _count_answers(t, answers, held, block, number, wrong, times):  # type: igno
     return distinct
 
 
-@njit(nogil=True)
+@inner
 def _pack_block(block, mask, n):  # type: ignore[no-untyped-def]
     """Returns an integer whose bit i is the bit of ``mask`` for the i-th fact of ``block``, a
     bitmask."""
@@ -164,7 +163,7 @@ def _pack_block(block, mask, n):  # type: ignore[no-untyped-def]
     return packed
 
 
-@njit(nogil=True)
+@inner
 def _draw_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
     """Draws a bitmask of WIDE facts: the facts of subset z, and random other facts."""
     block = prior.members[z]
@@ -176,7 +175,7 @@ def _draw_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
     return block
 
 
-@njit(nogil=True)
+@inner
 def _list_subsets(members, block, out):  # type: ignore[no-untyped-def]
     """Writes the index of each subset that has only facts of ``block`` to ``out``. Returns the
     number of these subsets."""
@@ -188,7 +187,7 @@ def _list_subsets(members, block, out):  # type: ignore[no-untyped-def]
     return size
 
 
-@njit(nogil=True)
+@inner
 def _weigh_subsets(candidates, wrong, times, prior, state, cell, cells, weights):  # type: ignore[no-untyped-def]
     """Writes the log joint probability of (S_τ, ε_τ) and the labels of τ to ``weights``, for each
     candidate S_τ and each level of ε.
@@ -223,7 +222,7 @@ def _weigh_subsets(candidates, wrong, times, prior, state, cell, cells, weights)
             weights[a * levels + e] = value
 
 
-@njit(nogil=True)
+@inner
 def _set_subset(t, z, e, held, answers, subsets, state):  # type: ignore[no-untyped-def]
     """Sets S_τ to subset z and ε_τ to level e, and counts the labels by cell."""
     rows, label, given = answers.rows, answers.label, answers.message_set
@@ -286,7 +285,7 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
         count_rows(o, 1, answers, prior, state)
 
 
-@njit(nogil=True)
+@inner
 def _find_facts(facts, number, one):  # type: ignore[no-untyped-def]
     """Returns the index of the fact set ``one`` among the first ``number`` entries of ``facts``;
     ``number`` if it is missing."""
@@ -296,7 +295,7 @@ def _find_facts(facts, number, one):  # type: ignore[no-untyped-def]
     return number
 
 
-@njit(nogil=True)
+@inner
 def _draw_type(members, number, new, rng):  # type: ignore[no-untyped-def]
     """Draws a type in use, with a probability in proportion to its ``members``. Returns ``number``
     for a new type, whose weight is ``new``."""
@@ -311,7 +310,7 @@ def _draw_type(members, number, new, rng):  # type: ignore[no-untyped-def]
     return number
 
 
-@njit(nogil=True)
+@inner
 def _list_combinations(facts, order, width, masks):  # type: ignore[no-untyped-def]
     """Writes 2^width fact sets to ``masks``. They are all sets that differ from the set ``facts``
     at most in the first ``width`` facts of ``order``."""
@@ -325,7 +324,7 @@ def _list_combinations(facts, order, width, masks):  # type: ignore[no-untyped-d
         masks[i] = mask
 
 
-@njit(nogil=True)
+@inner
 def _weigh_types(masks, order, width, used, members, number, log_new, weights):  # type: ignore[no-untyped-def]
     """Writes to ``weights`` the log prior weight of each fact set of ``masks`` under the Chinese
     restaurant process."""
@@ -342,7 +341,7 @@ def _weigh_types(masks, order, width, used, members, number, log_new, weights): 
         weights[i] = np.log(weights[i])
 
 
-@njit(nogil=True)
+@inner
 def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # type: ignore[no-untyped-def]
     """Adds to ``values`` [masks] the log probability of the labels of observer ``o`` if R is the
     fact set in ``masks``, given the labels counted in ``state.counts``.
