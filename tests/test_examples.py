@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests import forked
 from tests.conftest import ROOT
 
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "examples").glob("*/pyproject.toml"))
@@ -114,12 +115,10 @@ SMOKE = ("sweeps=smoke", "traces=1", "hydra.sweeper.settings=null", "tracking=no
 
 
 def test_a_prepared_sweep_is_found_in_the_repository_and_from_another_folder(tmp_path):
-    listed = [
-        ran(sys.executable, "-m", "xplain", *SMOKE, "dry_run=true", f"outputs={tmp_path}", cwd=cwd)
-        for cwd in (ROOT, tmp_path)
-    ]
-    assert listed[0] == listed[1]
-    assert "λ=0.5" in listed[0]
+    words = (*SMOKE, "dry_run=true", f"outputs={tmp_path}")
+    here, elsewhere = (forked.captured(folder, *words).stdout for folder in (ROOT, tmp_path))
+    assert here == elsewhere
+    assert "λ=0.5" in here
     assert {path.name for path in (ROOT / "sweeps").iterdir()} >= {"smoke.yaml", "table1.yaml"}
 
 

@@ -4,6 +4,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,7 +37,9 @@ def once(factory: pytest.TempPathFactory, name: str, fill: Callable[[Path], None
     return folder
 
 
-def _finish(folder: Path) -> None:
+def _finish(folder: Path, store: Path) -> None:
+    (folder / "outputs").mkdir()
+    shutil.copy(store, folder / "outputs" / store.name)
     before = time.monotonic()
     code, output = sweeps.run(folder, *sweeps.TINY)
     assert code == 0, output
@@ -44,10 +47,11 @@ def _finish(folder: Path) -> None:
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+def finished(tmp_path_factory: pytest.TempPathFactory, empty_store: Path) -> Finished:
     """Copies the finished sweep, so that tests may change the copy."""
     folder = tmp_path_factory.mktemp("own") / "finished"
-    shutil.copytree(once(tmp_path_factory, "finished", _finish), folder)
+    fill = partial(_finish, store=empty_store)
+    shutil.copytree(once(tmp_path_factory, "finished", fill), folder)
     read = [(folder / name).read_text() for name in ("output.txt", "seconds.txt")]
     return Finished(folder, read[0], float(read[1]))
 
