@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tests.refusals import refused
 from xplain import (
+    BeliefUpdate,
     Explainer,
     GivenTypes,
     Independent,
@@ -133,8 +134,10 @@ def test_a_trace_that_grows_is_planned_for_with_all_that_is_known(situation: Sit
 ASKING = Explainer(TYPES, trade_off=0.5, discount=1.0, ask=Limits(cost=0.01))
 
 
-def test_it_asks_says_and_shows_in_turn() -> None:
-    session = ASKING.session([0, 0, 0], clips={"refuels": 1})
+@pytest.mark.parametrize("beliefs", [Independent(), Persistent()])
+def test_it_asks_says_and_shows_in_turn(beliefs: BeliefUpdate) -> None:
+    explainer = replace(ASKING, belief_update=beliefs)
+    session = explainer.session([0, 0, 0], clips={"refuels": 1})
     question = session.next()
     assert (question.about, question.replies) == ("refuels", (("yes", 1), ("no", 0)))
     why = session.why()
@@ -148,6 +151,8 @@ def test_it_asks_says_and_shows_in_turn() -> None:
     session.observe([1])
     assert session.next() == Show((), 2)
     assert session.cost == pytest.approx(0.5 + 0.01)
+    assert explainer.session([0, 0, 0], clips=[1, 0, 1]).messages() == ("fuel",)  # no question
+    assert explainer.session([0, 0, 0], clips=[0]).next().about == "0"  # not labelled yet
 
 
 TURNS = [

@@ -205,6 +205,7 @@ def test_every_interval_is_inside_its_panel(least: float) -> None:
         for x in (0.5, 1.0, 2.0)
     ).eval("low = mean - 0.1 * (mean > 0.1)\nhigh = mean + 1")
     figure = draw(points, "x", "y", per_row=4)
+    assert (figure.get_size_inches() > (4 * 3, 2 * 3)).all()
     shown = [axes for axes in figure.axes if axes.get_visible()]
     assert [axes.get_ylabel() for axes in shown] == ["y", "", "", "", "y", ""]
     for axes, (_, own) in zip(shown, points.groupby("panel"), strict=True):
@@ -242,7 +243,12 @@ def test_an_effect_is_the_share_with_a_message_less_the_share_without() -> None:
 @pytest.mark.parametrize(
     ("figure", "curve", "chosen", "words"),
     [
-        (disagreements([9.0, 4.0, 3.0], 5, "elbow"), {1: 9, 2: 4, 3: 3}, 3, "chosen: 5 (elbow)"),
+        (
+            disagreements([9.0 - k for k in range(9)], 12, "elbow"),
+            {k: 10 - k for k in range(1, 10)},
+            9,
+            "chosen: 12 (elbow)",
+        ),
         (posterior({2: 0.75, 3: 0.25}, 2), {1: 0, 2: 0.75, 3: 0.25, 4: 0}, 2, "taken: 2"),
     ],
     ids=["disagreements", "posterior"],
@@ -253,6 +259,7 @@ def test_the_chosen_number_of_types_is_marked(figure, curve, chosen, words) -> N
     assert dict(axes.lines[-1].get_xydata()[[chosen - 1]]) == {chosen: curve[chosen]}
     assert np.isfinite(axes.lines[-1].get_ydata()).sum() == 1
     assert [text.get_text() for text in figure.legends[0].texts] == [words]
+    assert all(tick == int(tick) for tick in axes.get_xticks())
 
 
 def test_predictions_are_beside_the_line_of_those_that_are_right() -> None:
