@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xplain import Independent, InputError, LabelTable, Persistent, Problem
+from xplain import Independent, LabelTable, Persistent, Problem
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import (
@@ -109,19 +109,6 @@ def test_a_policy_that_repeats_or_invents_messages_is_caught(script):
             SimulatedUser.of(np.ones((2, 4))),
             Independent(),
         )
-
-
-@given(interactions())
-@settings(max_examples=20, deadline=None)
-def test_a_user_answers_alike_whatever_messages_the_table_is_over(interaction):
-    problem, table, script = interaction
-    whole = LabelTable.dense(table[None])
-    one, other = (
-        explain(problem, CachedPolicy(Scripted(script)), SimulatedUser(labels), Independent())
-        for labels in (whole, whole.select_messages(whole.effective()))
-    )
-    assert np.array_equal(one.labels, other.labels)
-    assert one.cost == other.cost
 
 
 PEOPLE = 200
@@ -251,14 +238,6 @@ def test_costs_are_by_thoughts_and_beliefs_by_answers() -> None:
     assert plain.cost == contrary.cost == STEPS * (STEPS + 1) / 2
     assert plain.beliefs[-1] == pytest.approx(contrary.beliefs[-1][::-1])
     assert plain.beliefs[-1, 1] > 0.99
-
-
-@pytest.mark.parametrize(
-    "make", [lambda: Slips(1.5), lambda: Heedless(accept=-0.1), lambda: Heedless(forget=2)]
-)
-def test_a_probability_out_of_range_is_refused(make) -> None:
-    with pytest.raises(InputError, match=r"explainee\.(rate|accept|forget)=.*a number in"):
-        make()
 
 
 def error_rates(explainee, step: int) -> tuple[float, float]:

@@ -116,13 +116,6 @@ def test_intervals_cover_as_often_as_they_say():
     assert abs(covered / rounds - 0.95) < 4 * (0.95 * 0.05 / rounds) ** 0.5
 
 
-@given(st.lists(st.floats(0, 1), min_size=2, max_size=10))
-def test_an_interval_of_a_share_is_one_of_shares(values):
-    plain = clustered_mean(values, range(len(values)))
-    cut = clustered_mean(values, range(len(values)), possible=(0, 1))
-    assert (cut.low, cut.high) == (max(0, plain.low), min(1, plain.high))
-
-
 def test_ratios_cover_as_often_as_they_say_and_are_never_negative():
     rng = np.random.default_rng(6)
     covered, rounds = 0, 600

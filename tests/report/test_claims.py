@@ -141,13 +141,6 @@ def test_a_seed_without_every_trade_off_says_nothing_about_a_line() -> None:
     assert (claim.estimate.mean, claim.verdict) == (pytest.approx(0), "holds")
 
 
-def test_the_papers_own_oracle_passes_the_test_of_linearity() -> None:
-    for domain in ("rescue", "four_rooms"):
-        costs = {trade_off: table1()[domain, trade_off]["oracle"] for trade_off in TRADE_OFFS}
-        found = settled(episodes(lambda *_: 0.0, costs.__getitem__))
-        assert verdicts(found)["the oracle's cost is linear in λ"] == "holds"
-
-
 def data_sets(indices: list[list[float]]) -> pd.DataFrame:
     """Makes a row of indices for each seed, with one index for each setting."""
     return pd.DataFrame(

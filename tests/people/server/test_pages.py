@@ -158,12 +158,15 @@ def test_without_a_map_the_page_lists_what_each_step_changed(opened: Opened) -> 
 
 def test_an_answer_to_a_page_that_was_not_shown_is_refused(store: Store) -> None:
     visitor, page = arrive(store)
-    agreed, client = {**page.hidden, "agree": "1"}, visitor.client
+    agreed, client = {**page.hidden, "agree": "1", "ms": "1500.5"}, visitor.client
     assert client.post("/study", data=agreed).status_code == 303  # and is not followed
-    unseen = {**page.hidden, "kind": "read", "sequence": "1"}
+    unseen = {**page.hidden, "kind": "read", "sequence": "1", "ms": "-1"}
     assert client.post("/study", data=unseen).status_code == 409
     assert Page.of_html(visitor.get("/study")[1]).stage == "briefing"
     assert client.post("/study", data=unseen).status_code == 303
+    one = store.participant(store.present()[0].id)
+    times = [event.browser for kind in ("consent", "read") for event in one.answers(kind)]
+    assert times == [1500.5, None]  # no page was open for less than no time
 
 
 def test_a_question_comes_with_the_messages_moves_no_progress_and_counts_once(

@@ -178,7 +178,9 @@ def test_cells_are_balanced_in_spite_of_drop_outs(opened: Opened, time: SimpleNa
 def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
     for token in store.invite(40, "bot"):
         consent(store, store.enter_invited(token))
-    consent(store, store.enter_as_pilot())
+    for cell, entry in ((None, "open"), (0, "preview")):
+        consent(store, store.enter_as_pilot(cell))
+        assert store.present()[-1].about["entry"] == entry
     assert places(store) == {}
     assert [*places(store, "bot")] == [*range(40)]
     cells = Counter(store.flow.cell("bot", position) for position in range(40))

@@ -240,8 +240,10 @@ def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
 def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) -> None:
     for user_type, condition in study.plan.cells:
         state = at_evaluation(study, user_type, condition)
-        view = study.view(state)
+        view = study.view(replace(state, heard=(2, 0, 1, 0), given=7, new=1))
         assert not view.keys() & {"belief", "condition", "user_type", "score", "values", "untrue"}
+        told = [study.plan.facts[j].message for j in (2, 1, 0)]  # by when each was said last
+        assert (view["old"], view["new"], view["again"]) == (told[:2], told[2:], told[2:])
 
 
 CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
