@@ -183,7 +183,6 @@ def test_who_never_asks_is_given_no_clips() -> None:
         replace(ASKING, ask=None).session([0], clips=[1])
     with pytest.raises(InputError, match="a whole number in 0 … 1"):
         ASKING.session([0], clips=[9])
-    assert ASKING.session([0, 0]).next() == Explainer(TYPES, trade_off=0.5).session([0, 0]).next()
 
 
 def test_a_belief_is_asked_by_its_two_sentences_in_their_order() -> None:

@@ -9,7 +9,7 @@ import random
 import re
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -292,9 +292,8 @@ def test_what_these_seeds_cannot_say_is_not_said(
     gap: tuple[float, ...], seeds: int, needed: tuple[str, str]
 ) -> None:
     assert seeds_to_decide(Estimate(*gap), seeds) is None
-    job = "", SimpleNamespace(seconds={"learn": 20.0, "explain": 40.0})
-    summary: Any = SimpleNamespace(seeds=seeds, results=[job] * seeds)
-    assert effort(summary, Estimate(*gap)) == needed
+    jobs = [("", SimpleNamespace(seconds={"learn": 20.0, "explain": 40.0}))] * seeds
+    assert effort(cast(Any, SimpleNamespace(seeds=seeds, results=jobs)), Estimate(*gap)) == needed
 
 
 def test_each_difference_that_is_not_decided_has_its_seeds_and_minutes(tmp_path, capsys):
@@ -436,8 +435,8 @@ def test_a_key_that_another_decides_is_no_dimension_but_is_in_the_csv(tmp_path):
     ]
     summary = summary_of(tmp_path, jobs)
     assert summary.shown == ["domain", "solver"]
-    posed = summary_of(tmp_path / "posed", product(domain="rescue,four_rooms", trade_off="1,2"))
-    assert plots.plot_keys(posed) == ("lambda", [], ["domain"])
+    posed = product(domain="rescue,four_rooms", trade_off="1,2")
+    assert plots.plot_keys(summary_of(tmp_path / "posed", posed)) == ("lambda", [], ["domain"])
     assert summary.values("users.count") == ["", 2.0]  # what is not set comes first
     found = {(row["domain"], row["users.count"]) for row in rows(regret_csv(summary))}
     assert found == {("rescue", ""), ("four_rooms", "2")}

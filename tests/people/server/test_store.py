@@ -26,6 +26,7 @@ from xplain.people.store import MAX_TAB_EVENTS, Clock, DataErased, Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
+from xplain.people.study.tables import glance
 
 
 @pytest.fixture
@@ -178,11 +179,17 @@ def test_cells_are_balanced_in_spite_of_drop_outs(opened: Opened, time: SimpleNa
 def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
     for token in store.invite(40, "bot"):
         consent(store, store.enter_invited(token))
-    for cell, entry in ((None, "open"), (0, "preview")):
-        consent(store, store.enter_as_pilot(cell))
-        assert store.present()[-1].about["entry"] == entry
+    consent(store, store.enter_as_pilot())
+    assert store.participant(store.enter_as_pilot(0)).about["entry"] == "preview"
     assert places(store) == {}
     assert [*places(store, "bot")] == [*range(40)]
+    assert {
+        (row["stream"], row["free"]) for row in glance(store.flow, store.present())["slots"]
+    } == {
+        ("person", 2),
+        ("bot", None),
+        ("pilot", None),
+    }
     cells = Counter(store.flow.cell("bot", position) for position in range(40))
     assert max(cells.values()) - min(cells.values()) <= 1
 
