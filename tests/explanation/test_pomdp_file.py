@@ -1,8 +1,6 @@
 """The literal POMDP and its reduction; the exported file, read back and solved as any POMDP."""
 
-import os
 import re
-import subprocess
 from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import product
@@ -135,23 +133,6 @@ def test_the_file_is_a_pomdp(problem: Problem) -> None:
         assert sum(flat.transition[action, state].values()) == pytest.approx(1)
         assert sum(flat.observation[action, state].values()) == pytest.approx(1)
         assert max(flat.observation[action, state]) < flat.observations
-
-
-@pytest.mark.skipif("POMDPSOL_PATH" not in os.environ, reason="POMDPSOL_PATH names no pomdpsol")
-def test_an_outside_solver_agrees(tmp_path) -> None:
-    """SARSOP's bounds enclose the brute-force optimum."""
-    rng = np.random.default_rng(2)
-    problem = Problem(rng.random((2, 3, 4)), np.array([0.4, 0.7]))
-    file = tmp_path / "problem.pomdp"
-    file.write_text(text_of(problem) + "\n")
-    command = [os.environ["POMDPSOL_PATH"], "--precision", "1e-4", "--timeout", "60"]
-    command += ["--output", str(tmp_path / "policy"), str(file)]
-    out = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
-    rows = [line.split() for line in out.splitlines()]
-    *_, last = (row for row in rows if len(row) >= 5 and row[0].replace(".", "").isdigit())
-    optimum = reduced_optimal_value(problem)
-    lower, upper = float(last[3]), float(last[4])
-    assert lower - 1e-3 <= optimum <= upper + 1e-3
 
 
 @settings(deadline=None, max_examples=60)

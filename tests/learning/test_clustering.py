@@ -289,6 +289,7 @@ def test_counts_are_the_pairs_of_the_definition(seed: int, clusters: int) -> Non
         ([9, 9, 9, 9, 0], 5, "no knee, few"),
         ([100, 99, 98, 2, 1, 0, 0, 0], 4, "no knee, few"),
         ([9, 9, 9, 9, 3], 5, "no knee, lowest"),
+        ([100, 99, 98, 97, 5], 5, "no knee, few"),
         # a partition may be worse than one with fewer types
         ([12, 8, 9, 2, 1, 0], 4, "kneedle"),
         ([12, 8, 3, 0, 2], 4, "no knee, few"),

@@ -14,13 +14,12 @@ from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
 from xplain import Clustering, TooLargeError
-from xplain.learning.data.dataset import Dataset, query_index
+from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.labelers import FittedLabeler, LabelerTrainer, fresh_accuracy, split
 from xplain.learning.prediction import (
     calibration,
     log_likelihood,
     log_likelihoods,
-    predict,
     predict_held_out,
 )
 from xplain.learning.user_types import Single, learn_types
@@ -111,7 +110,10 @@ def test_the_table_over_what_a_tree_looks_at_is_the_whole_table(seed: int, n: in
         patch.setattr("xplain.learning.labelers.DENSE", 0)
         some = labeler.table(features)
     assert np.array_equal(some.array(n), whole.array(n))
-    assert set(whole.effective()[0]) <= set(some.rows[0])
+    tree, width = labeler.classifier, features.shape[1]
+    x = inputs(np.repeat(features, 1 << n, axis=0), np.tile(np.arange(1 << n), 3), n)
+    tested = tree.tree_.feature[tree.decision_path(x).indices]
+    assert some.rows == [np.unique(tested[tested >= width] - width).tolist()]
 
 
 def test_sixteen_messages_are_the_most_that_are_looked_at() -> None:
@@ -193,36 +195,6 @@ def test_who_gave_no_label_before_is_predicted_by_everybodys(rng: np.random.Gene
         own = dataset.of(np.array([o]))
         alone = log_likelihood(LabelerTrainer().fit(own, 3), own)
         assert np.array_equal(both[dataset.observer == o], alone)
-
-
-def test_an_observer_is_predicted_by_the_types_that_their_labels_speak_for(
-    rng: np.random.Generator,
-) -> None:
-    """Bayes' rule by hand, for known observers and new ones, whose names come in another order."""
-    dataset, truth = made(rng, [[0], [1, 2]], size=60)
-    types = learn_types(dataset, Clustering(truth, "true", ""), LabelerTrainer(), 0)
-    assert np.ptp(types.prior) == 0
-    types = replace(types, prior=np.array([0.3, 0.7]))
-    few = dataset.take(np.flatnonzero(np.arange(len(dataset)) % 7 == 0))
-    asked = replace(
-        dataset.take(np.arange(20)),
-        observers=("new", *dataset.observers[::-1]),
-        observer=np.arange(20) % (len(dataset.observers) + 1),
-    )
-    found = predict(few, types, asked)
-    for p in range(20):
-        name = asked.observers[asked.observer[p]]
-        weight = types.prior.copy()
-        if name != "new":
-            own = few.of(np.array([few.observers.index(name)]))
-            for t, labeler in enumerate(types.labelers):
-                one = labeler.probability(own.features[own.transition], own.message_set)
-                weight[t] *= np.where(own.label == 1, one, 1 - one).prod()
-        row, told = asked.features[asked.transition[[p]]], asked.message_set[[p]]
-        each = [labeler.probability(row, told)[0] for labeler in types.labelers]
-        assert found[p] == pytest.approx(weight @ each / weight.sum())
-    assert np.ptp(found) > 0.1
-    assert np.array_equal(found, predict(few, types, replace(asked, label=1 - asked.label)))
 
 
 def test_intervals_of_calibration_are_wilsons():

@@ -11,6 +11,8 @@ from scipy.special import gammaln
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
+from tests.refusals import refused
+from xplain.errors import TooLargeError
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observations
 from xplain.learning.mixture import sampler
@@ -25,6 +27,7 @@ from xplain.learning.mixture.sampler import (
     init,
     resample_transitions,
     sample,
+    split_merge,
 )
 
 LOG_NOISE = np.log(np.arange(1.0, len(NOISE) + 1) / np.arange(1.0, len(NOISE) + 1).sum())
@@ -86,10 +89,11 @@ def log_joint(
     return found
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n = 2
+@pytest.mark.parametrize("temperature", [1.0, 2.0])
+@pytest.mark.parametrize("sweeps", [300, 20])
+def test_two_observers_are_drawn_from_their_posterior(sweeps: int, temperature: float) -> None:
+    """One by one, or by splits and merges of types, of which a sweep has twenty."""
+    rng, n = np.random.default_rng(sweeps), 2
     answers, prior = some_answers(rng, n, 18, 2), Prior.of(n, 2)
     state = init(answers, prior, rng.integers(1 << n, size=2))
     while not (prior.size[state.subset] > 0).any():  # some fact matters
@@ -97,11 +101,14 @@ def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
     log_new, room = np.log(CONCENTRATION) - n * np.log(2), np.zeros(2, dtype=np.int64)
     visits = np.zeros((20, 1 << n, 1 << n))
     for batch in visits:
-        for _ in range(300):
-            used, members = np.unique(state.facts, return_counts=True)
-            in_use = np.append(used, room), np.append(members, room), len(used)
-            resample_facts(answers, prior, state, *in_use, log_new, 1.0, rng)
-            batch[tuple(state.facts)] += 1 / 300
+        for _ in range(sweeps):
+            if sweeps < 100:
+                split_merge(answers, prior, state, log_new, temperature, rng)
+            else:
+                used, members = np.unique(state.facts, return_counts=True)
+                in_use = np.append(used, room), np.append(members, room), len(used)
+                resample_facts(answers, prior, state, *in_use, log_new, temperature, rng)
+            batch[tuple(state.facts)] += 1 / sweeps
     assert (state.counts == counted(answers, prior, state)).all()
     expected = np.empty((1 << n, 1 << n))
     for both in product(range(1 << n), repeat=2):
@@ -109,10 +116,10 @@ def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
         of_labels = log_joint(answers, prior, state._replace(facts=facts))
         drawn = of_labels[np.arange(3), state.subset, state.noise]
         restaurant = (both[0] == both[1]) + CONCENTRATION / 2**n
-        expected[both] = restaurant * np.exp(drawn.sum())
+        expected[both] = (restaurant * np.exp(drawn.sum())) ** (1 / temperature)
     error = visits.std(axis=0, ddof=1) / len(visits) ** 0.5
     off = np.abs(visits.mean(axis=0) - expected / expected.sum())
-    assert (off < 5 * error + 1e-3).all()
+    assert (off < 5 * error + 3e-3).all()
 
 
 @pytest.mark.parametrize(
@@ -160,25 +167,31 @@ def test_the_score_is_the_sum_over_all_of_them_however_many_labels_agree(ones: f
 
 
 @pytest.mark.parametrize(
-    ("observers", "n", "size", "sweeps"), [(12, 2, 50, 1), (4, 10, 250, 1), (120, 2, 400, 4)]
+    ("observers", "n", "size", "sweeps"),
+    [(12, 2, 50, 1), (4, 10, 250, 1), (120, 2, 400, 4), (100, WIDE + 2, 200, 1)],
 )
 def test_chains_are_compared_by_the_joint_of_the_same_variables(
     observers: int, n: int, size: int, sweeps: int
 ) -> None:
     """After one sweep it is that of the first state. Types of many observers are merged at the end
-    with S and ε fixed; the score is summed over both, as that of any other chain."""
+    with S and ε fixed; the score is summed over both, as that of any other chain. With many
+    messages it is that of one S and ε."""
     for seed in range(3):
         rng = np.random.default_rng(seed)
         answers, prior = some_answers(rng, n, size, observers), Prior.of(n, 2)
-        first = rng.integers(0, 1 << n, observers)
+        first = rng.integers(0, 1 << min(n, 10), observers) >> (8 if n > WIDE else 0)
         chain = sample(answers, prior, CONCENTRATION, first, sweeps, 2.0, rng)
         even = np.full(len(NOISE), -np.log(len(NOISE)))
         log_noise = even if sweeps == 1 else chain.best.log_noise
-        joint = log_joint(answers, prior, chain.best, log_noise).reshape(3, -1)
-        expected = np.logaddexp.reduce(joint, axis=1).sum()
+        joint, best = log_joint(answers, prior, chain.best, log_noise), chain.best
+        expected = np.logaddexp.reduce(joint.reshape(3, -1), axis=1).sum()
+        if n > WIDE:
+            expected = joint[np.arange(3), best.subset, best.noise].sum()
+            assert len(np.unique(best.facts)) < len(np.unique(first))
         members = np.unique(chain.best.facts, return_counts=True)[1]
         expected += (np.log(CONCENTRATION) - n * np.log(2) + gammaln(members)).sum()
-        assert chain.score == pytest.approx(expected, rel=1e-9)
+        # A merge counts α / 2^n balls of each fact set, the restaurant the first of them.
+        assert chain.score == pytest.approx(expected, rel=1e-5 if n > WIDE else 1e-9)
 
 
 TYPES = [[0, 1], [2], [1, 3]]
@@ -258,3 +271,41 @@ def test_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
     batches = found.reshape(20, -1).mean(axis=1)
     error = batches.std(ddof=1) / 20**0.5
     assert batches.mean() == pytest.approx(4 * (1 - np.exp(not_one)), abs=4 * error + 0.005)
+
+
+class Called(Exception):
+    """The chains were started."""
+
+
+@pytest.mark.parametrize(
+    ("n", "observers", "asked", "depth", "sweeps"),
+    [
+        *((4, 2, None, 4, 100), (12, 2, None, 5, 100), (13, 2, None, 4, 100), (12, 2, 2, 2, 100)),
+        *((38, 2, None, 4, 100), (39, 2, None, 3, 100), (18, 2, 5, 5, 100)),
+        *((12, 3000, None, 5, 100), (12, 3001, None, 4, 99), (12, 20_000, None, 4, 20)),
+    ],
+)
+def test_effort_is_less_for_more_messages_and_observers(
+    n: int, observers: int, asked: Any, depth: int, sweeps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chain ends after 300,000 updates of an observer, but not before 20 sweeps. Every second
+    chain begins with one type."""
+    started: list[Any] = []
+
+    def start(answers: Any, prior: Any, concentration: float, first: Any, *rest: Any) -> None:
+        started.append((prior, concentration, *rest[:2], bool((first == (1 << n) - 1).all())))
+        if len(started) == 4:
+            raise Called
+
+    monkeypatch.setattr(sampler, "sample", start)
+    monkeypatch.setattr(Prior, "of", lambda *size: size)
+    dataset, _ = made(np.random.default_rng(0), [[0]], per_type=observers, size=1, n=n)
+    with pytest.raises(Called):
+        DirichletMixture(0.5, asked).cluster(Observations(dataset), 0)
+    assert started == [((n, depth), 0.5, sweeps, 4.0, chain % 2 == 0) for chain in range(4)]
+
+
+def test_too_many_sets_of_messages_are_refused() -> None:
+    dataset, _ = made(np.random.default_rng(0), [[0]], size=5, n=19)
+    with refused("depth=5: too many sets of 19 messages; at most 4", kind=TooLargeError):
+        DirichletMixture(depth=5).cluster(Observations(dataset), 0)

@@ -145,8 +145,8 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
     made = replace(
         types, labelers=tuple(Constant(p, True) for p in sure), names=("a", "b"), prior=prior
     )
-    new = replace(data.take(np.arange(2)), observers=("o1", "new"), observer=np.array([0, 1]))
-    found = predict(data, made, new)
+    new = replace(data.take(np.arange(2)), observers=("new", "o1"), observer=np.array([1, 0]))
+    found, plain = (predict(data, replace(made, answers=x), new) for x in (answers, None))
     for row, (own, t) in enumerate(
         zip((data.of(np.array([1])), data.take(np.zeros(0, int))), new.transition, strict=True)
     ):
@@ -159,6 +159,8 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
             at = answers.predict(np.array([t]))[0, :, e]
             one[k, e] = (1 - sure[k]) * at[0] + sure[k] * at[1]
         assert found[row] == pytest.approx((joint * one).sum() / joint.sum())
+        weight = prior * [np.prod(np.where(own.label == 1, p, 1 - p)) for p in sure]
+        assert plain[row] == pytest.approx(weight @ sure / weight.sum())
     # A labeler measured on answers says what is answered, errors and all.
     measured = replace(made, labelers=(Constant(0.8, False),) * 2)
     assert predict(data, measured, new)[1] == pytest.approx(0.8)
@@ -302,6 +304,7 @@ def test_of_people_who_think_something_else_a_line_says_so(seed, caplog):
         data, Single().cluster(Observations(data), 0), HypothesisTrainer(hypotheses=known), 0
     ).evidence.nats
     assert f"{own:.2f} nats by hypotheses, {others:.2f} by labels alone" in caplog.text
+    assert "(people of 1 of 1 types disagree with them)" in caplog.text
 
 
 def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():

@@ -167,20 +167,6 @@ def test_done_counts_candidates_that_behave_alike_as_one():
     assert q.best == 1
 
 
-def test_who_answers_at_random_is_none_of_these():
-    """Ninety random answers fit no candidate; ninety answers of the first candidate fit it."""
-    rng = np.random.default_rng(0)
-    h = random_hypotheses(3, facts=4, transitions=30)
-    random, fitting = Questionnaire(h, seed=1), Questionnaire(h, seed=1)
-    for _ in range(90):
-        random.next()
-        random.answer(int(rng.integers(2)))
-        t, told = fitting.next()
-        fitting.answer(int(h.labels[5 & ~told, t]))
-    assert random.none > 0.99
-    assert fitting.none < 0.01
-
-
 @pytest.mark.parametrize(
     ("label", "question", "said"),
     [

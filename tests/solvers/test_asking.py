@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.decisions import question_asked, worth_by_enumeration
+from tests.decisions import question_asked, worth_by_enumeration, worths
 from tests.solvers.test_optimum import asking
 from xplain import LabelTable, Problem
 from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import update_by_answer
 from xplain.explanation.message_sets import indices
-from xplain.solvers.base import best_action
+from xplain.solvers.base import Solver, best_action
 from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP
@@ -105,6 +105,17 @@ def test_second_opinions_are_worth_asking_for_where_answers_err() -> None:
         assert (first, second) == (0, 1)
         last = update_by_answer(problem, after, 0, second, 1)
         assert question_asked(policy, 0, 0, last, 0b11) is None
+
+
+@pytest.mark.parametrize("solver", [Certified(nodes=20), POMCP(100), QMDP()])
+def test_of_more_questions_than_an_integer_has_bits_each_comes_once(solver: Solver) -> None:
+    rng = np.random.default_rng(17)
+    table = LabelTable.dense(rng.uniform(0.1, 0.9, (2, 70, 1)))
+    problem = Problem(np.array([[[0.2]] * 2, [[0.9]] * 2]), np.empty(0))
+    policy = solver.plan(replace(problem, questions=Questions(table, Limits(0.0, 70))), 0)
+    for asked in (1, 61, 62, 63, 66):
+        left = [~a for a in worths(policy, 0, 0, problem.prior, (1 << asked) - 1) if a < 0]
+        assert min(left) >= asked
 
 
 def test_of_equally_good_questions_the_nearest() -> None:

@@ -1,6 +1,5 @@
 """Solvers decide alike for a problem by type and for the dense problem."""
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -111,20 +110,6 @@ def test_sixty_messages_are_planned_for() -> None:
         assert chosen & ~own == 0
     found = bounds(problem)
     assert found.lower <= found.upper <= found.known_type + 1e-12
-
-
-def test_planning_type_by_type_takes_what_the_types_take() -> None:
-    """One message of 21 changes nothing; no table covers all sets of the 20 other messages."""
-    types, steps, each = 10, 20, 3
-    rng = np.random.default_rng(0)
-    relevant = np.array([np.sort(rng.choice(20, each, replace=False)) for _ in range(types)])
-    table = LabelTable.by_type(relevant, rng.random((types, steps, 1 << each)))
-    problem = Problem(table, np.full(21, 0.01))
-    tracemalloc.start()
-    QMDP().plan(problem)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 20e6  # bytes; a number for each set is 8e6 a step
 
 
 def test_what_fits_exactly_is_allowed_and_a_byte_more_is_not() -> None:

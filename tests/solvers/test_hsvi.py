@@ -2,11 +2,14 @@
 
 import logging
 from dataclasses import replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.decisions import worths
+from tests.solvers.test_optimum import missing, needy
 from xplain import LabelTable, Problem, TooLargeError
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.message_sets import expand
@@ -15,7 +18,13 @@ from xplain.solvers.bounds import bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.hsvi import Certified, Effort, search
 from xplain.solvers.hsvi_kernel import NODES
-from xplain.solvers.process import known_bytes
+from xplain.solvers.process import (
+    expected_after_forgetting,
+    give_all,
+    known_bytes,
+    known_values,
+    set_prices,
+)
 from xplain.testing.literal_pomdp import reduced_optimal_value
 from xplain.testing.problems import random_problem
 
@@ -78,6 +87,77 @@ def test_unlikely_answers_left_untold_are_bounded_from_both_sides() -> None:
 
 HARD = Problem(np.random.default_rng(0).random((4, 8, 16)), np.full(4, 0.5))
 """Far from closed after thousands of beliefs."""
+
+
+@pytest.mark.parametrize("draw", [random_problem, missing, lambda rng: needy(rng)])
+def test_an_opened_node_has_the_sets_that_may_be_optimal_with_their_bounds(draw: Any) -> None:
+    """A set is left out where it is not better, in any state, than nothing or than the set without
+    one message. The values of plans are those of the messages that a known type needs."""
+    rng, left_out = np.random.default_rng(35), 0
+    for _ in range(15):
+        problem = draw(rng)
+        found = search(problem, Effort(gap=1e3, nodes=1))
+        process, kept, store = found.process, found.kept, found.store
+        known, start, gamma = known_values(process, True), process.start, process.discount
+        m, states, sets = process.n_steps, process.n_states, range(1 << len(kept))
+        cells = [process.cells.at(expand(c, kept)) for c in sets]
+        plans = np.zeros((states + 1, m + 1, process.p.shape[1]))
+        for k, c in product(range(m - 1, -1, -1), sets[::-1]):
+            at, said = cells[c], expand(c, kept)
+            later = expected_after_forgetting(process, plans[-1, k + 1, at])
+            plans[:, k, at] = gamma * later - process.explain_cost[k, at]
+            for u in range(states if process.jump is None else 0):
+                plans[u, k, at] = gamma * plans[u, k + 1, at] - process.explain_cost[k, at]
+                values = {
+                    j: process.message_discount * known.now(k, said | 1 << j)[u] - process.price[j]
+                    for j in kept
+                    if not said >> j & 1
+                }
+                j = max(values, key=values.__getitem__, default=None)
+                if j is not None and values[j] > known.explained(k, said)[u] + 1e-9:
+                    given = plans[u, k, cells[c | 1 << kept.index(j)]]
+                    plans[u, k, at] = process.message_discount * given - process.price[j]
+        own = plans[-len(found.tables.plans) :]
+        np.testing.assert_allclose(found.tables.plans, own, atol=1e-9)
+        prices, factors = set_prices(process, np.array([expand(c, kept) for c in sets]))
+        every = np.empty((3, len(sets), states))  # rewards, upper and lower bounds
+        for c in sets:
+            said, at = expand(c, kept), cells[c]
+            each = -process.explain_cost[0, at], known.explained(0, said), plans[-1, 0, at]
+            after = give_all(process, np.eye(states), said)
+            every[:, c] = factors[c] * (np.stack(each) @ after.T) - prices[c]
+        base, over, under = every
+        useful = [
+            c
+            for c in sets
+            if all(
+                (over[c] > under[less]).any()
+                for less in {0, *(c & ~(1 << i) for i in range(9))} - {c}
+            )
+        ]
+        place = store.places[0, 0]
+        listed = slice(place["first_set"], place["first_set"] + place["n_sets"])
+        assert store.sets[listed].tolist() == useful
+        for kept_, values in ((store.base, base), (store.over, over), (store.under, under)):
+            np.testing.assert_allclose(kept_[listed], values[useful], atol=1e-9)
+        upper, lower, later = over @ start, under @ start, gamma * factors
+        if process.jump is None:
+            best = [(own[:, 1, at] @ start).max() for at in cells]
+            lower = np.maximum(lower, base @ start + later * best)
+        lower, least = np.minimum(lower, upper), max((own[:, 0, cells[0]] @ start).max(), -np.inf)
+        least = max(least, lower[useful].max())
+        open_ = [c for c in useful if upper[c] >= least - 1e-9 or upper[c] == upper[useful].max()]
+        actions = store.actions[: store.used[1]]
+        assert actions["messages"].tolist() == open_
+        for name, values in (
+            ("upper", upper),
+            ("lower", lower),
+            ("base", base @ start),
+            ("later", later),
+        ):
+            np.testing.assert_allclose(actions[name], values[open_], atol=1e-9)
+        left_out += len(sets) - len(open_)
+    assert left_out > 0
 
 
 def test_memory_ends_a_search(caplog: pytest.LogCaptureFixture) -> None:

@@ -85,6 +85,7 @@ def test_a_message_that_changes_an_answer_alone_is_an_action() -> None:
     policy = Certified(gap=1e-9).plan(problem)
     assert (policy.lower, policy.upper) == pytest.approx((optimum, optimum))
     assert evaluate(problem, policy).value == pytest.approx(optimum)
+    assert 0b100 in worths(POMCP().plan(problem), 0, 0, problem.prior)
 
 
 @settings(deadline=None, max_examples=30)

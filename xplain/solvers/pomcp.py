@@ -216,7 +216,7 @@ class Search:
         tree, _, scratch = memory
         tree.nodes[ROOT] = (0, np.nan, 0.0, 0.0, said, 0, 0, 0, 0, 0, 0, visible.step)
         tree.beliefs[ROOT] = belief
-        tree.tried[ROOT, -2:] = -1 if chosen else 0, -1
+        tree.tried[ROOT, -2] = -1 if chosen else 0
         scratch.asked[:] = [visible.asked >> q & 1 for q in range(len(scratch.asked))]
         missed = None if process.jump is None else True
         roots = _compute_roots(1 << budget.bit_length())

@@ -92,7 +92,7 @@ class VoiPolicy:
         """Returns the policy's values of messages. A question's value is the best message value
         plus the question's value of information."""
         values = dict(self.policy.values(visible, belief))
-        best = max(values.values(), default=0.0)
+        best = max(values.values())
         gains = self._evaluate_questions(visible, belief)
         return values | {AskQuestion(q): best + gain for q, gain in gains.items()}
 
