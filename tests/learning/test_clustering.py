@@ -18,7 +18,7 @@ from sklearn.tree import DecisionTreeClassifier
 from tests.learning.conftest import made
 from xplain import Clustering, InputError, LearnedTypes, TooLargeError
 from xplain.explanation.label_table import DENSE, LabelTable
-from xplain.learning.data.dataset import Dataset, inputs, query_index
+from xplain.learning.data.dataset import Dataset, inputs
 from xplain.learning.data.observers import Observations
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.paper import (
@@ -38,20 +38,6 @@ from xplain.learning.user_types import (
     learn_types,
 )
 from xplain.testing import TypeFinderConformance
-
-
-def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> None:
-    dataset, truth = made(rng, [[0], [1], [2]], per_type=2, size=400)
-    truth = np.array([0, 0, 0, 0, 1, 1])
-    types = learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0)
-    assert types.prior == pytest.approx([2 / 3, 1 / 3])
-    for t, labeler in enumerate(types.labelers):
-        own = dataset.of(np.flatnonzero(truth == t))
-        assert labeler.n_train + labeler.n_test == len(np.unique(query_index(own)))
-    table = label_table(types.labelers, dataset.features).array(dataset.n_messages)
-    assert table.shape == (2, len(dataset.features), 16)
-    # The last type needs message 2 at transition 2, whatever else is said.
-    assert (table[1, 2] > 0.5).tolist() == [bool(h & 4) for h in range(16)]
 
 
 @pytest.mark.parametrize("most", [1, 2, 4, 9])

@@ -143,19 +143,6 @@ def test_json_takes_up_where_it_stood(seed, clip):
     assert again.posterior == pytest.approx(q.posterior)
 
 
-def test_it_finds_out_what_somebody_holds_wrong():
-    """Six facts matter at one transition each: without errors six answers are enough."""
-    labels = 1 - (np.arange(64)[:, None] >> np.arange(6) & 1)
-    for held in (0, 5, 63):
-        q = Questionnaire(labels, error=0.001, none=0.001)
-        while not q.done:
-            transition, told = q.next()
-            q.answer(int(labels[held & ~told, transition]))
-        assert len(q.asked) == 6
-        assert q.best == held
-        assert q.posterior[held] > 0.9
-
-
 def test_done_counts_candidates_that_behave_alike_as_one():
     """Fact 1 changes no label."""
     labels = np.array([[1], [0], [1], [0]])
