@@ -87,7 +87,9 @@ def test_the_model_plays_by_the_rules(seed: int) -> None:
         action = domain.actions.index(name)
         assert model.probability[state, action].tolist() == [1.0]
         assert model.reward[state, action, 0] == pytest.approx(rules.play(letter)), letter
-        state = int(model.successor[state, action, 0])
+        state, before = int(model.successor[state, action, 0]), state
+        verb = domain.describe(np.array([before, action, state])).split()[0]
+        assert verb != ("moves" if "V" in rules.done else "carries")
         assert domain.position(state) == rules.cell
         assert len(domain.situation(state)) == len(rules.done)
         assert model.terminal[state] == rules.ended
@@ -193,7 +195,7 @@ def test_the_map_is_the_published_one() -> None:
     inner_walls = [(r, 6) for r in range(1, 12)]
     inner_walls += [(6, c) for c in range(1, 6)] + [(7, c) for c in range(7, 12)]
     doors = {cell for cell in inner_walls if grid.number[cell] >= 0}
-    assert doors == {(3, 6), (10, 6), (6, 2), (7, 9)}
+    assert doors == {*DOORS} == {(3, 6), (10, 6), (6, 2), (7, 9)}
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.2])

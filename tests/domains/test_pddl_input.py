@@ -117,7 +117,7 @@ HANDS = {"action": "pick-up", "drop_precondition": "(handempty)"}
             change(action="pick-up", cost="(weight ?x)"),
             "name: weight; known: total",
         ),
-        (change(action="pick-up", drop_precondition="(holding ?x)"), "does not exist; known:"),
+        (change(action="pick-up", drop_precondition="(holding ?x)"), r"does not exist; known: \("),
         (change(action="pick-up", add_precondition="(clear ?x)"), "exists already"),
         (change(action="pick-up", add_precondition="(clear ?y)"), "Undefined variable: .y"),
         (

@@ -89,25 +89,6 @@ def test_cost_is_definition_2_and_beliefs_are_bayes(interaction, way):
     assert episode.seconds.min() > 0
 
 
-class Careless(Scripted):
-    """A policy that repeats its messages."""
-
-    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
-        return give(self.script[visible.step])
-
-
-@pytest.mark.parametrize("script", [[1, 1], [4, 0]])
-def test_a_policy_that_repeats_or_invents_messages_is_caught(script):
-    problem = Problem(np.full((1, 2, 4), 0.5), np.ones(2))
-    with pytest.raises(ValueError, match="messages that may be said"):
-        explain(
-            problem,
-            CachedPolicy(Careless(script)),
-            SimulatedUser.of(np.ones((2, 4))),
-            Independent(),
-        )
-
-
 PEOPLE = 200
 STEPS = 8
 

@@ -384,6 +384,7 @@ def test_a_solver_is_asked_at_any_step_with_any_messages_and_beliefs() -> None:
             seen.step == 0,
             seen.step == p.n_steps - 1,
             p.n_types == 3,
+            np.isin(p.p_explicable, (0, 1)).all(),
         )
         for p, seen, _ in asked
     ]
@@ -393,9 +394,16 @@ def test_a_solver_is_asked_at_any_step_with_any_messages_and_beliefs() -> None:
 def test_a_person_hears_each_message_once_and_sees_one_transition_more_at_each_step() -> None:
     said = []
     ExplaineeConformance().test_reacts_with_zeros_and_ones_to_all_that_is_shown(
-        meets(lambda p, new: said.append(new), lambda p, k, out: said.append(-k) or out)
+        Wrapped(
+            Exact(),
+            meet=lambda kind, *about: Wrapped(
+                kind.meet(*about),
+                hear=lambda person, new: said.append(new),
+                react=lambda person, *shown: said.append(shown) or person.react(*shown),
+            ),
+        )
     )
-    assert said == [0, -1, 1, -2, 2, -3, 4, -4]
+    assert said == [0, (0, 1), 1, (1, 2), 2, (3, 3), 4, (7, 4)]
 
 
 def test_labels_follow_the_rule() -> None:
@@ -476,3 +484,8 @@ def test_random_problems_have_what_has_revealed_errors() -> None:
         assert 0 <= min(costs) <= max(costs) < 2
         assert all(((own.p >= 0) & (own.p <= 1)).all() for own in (p.table, p.questions.table))
         assert bool(p.questions.table.answers.size) == (not p.habits.never_err)
+        likely = (p.table.answered > 0.5) == (
+            p.table.p > 0.5
+        )  # a certain label is the likely answer
+        assert likely[np.isin(p.table.p, (0, 1))].all()
+    assert all(random_problem(rng, max_types=1).habits.never_err for _ in range(20))
