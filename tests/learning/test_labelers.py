@@ -78,12 +78,6 @@ def test_confidence_is_the_smoothed_share_of_held_out_questions_got_right(
     )
 
 
-def test_one_point_alone_tells_nothing(rng: np.random.Generator) -> None:
-    dataset, _ = made(rng, [[0]], size=30)
-    labeler = LabelerTrainer().fit(dataset.take(np.array([0])), 0)
-    assert (labeler.n_test, labeler.confidence) == (0, 0.5)
-
-
 def test_leaves_of_a_fitted_tree_by_hand() -> None:
     # Without the message 1 label of 4 is a one, with it 5 of 6.
     label = np.array([1, 0, 0, 0, 1, 1, 1, 1, 1, 0])
@@ -150,16 +144,6 @@ def test_equal_rows_may_be_one_row_with_a_weight(
         tables.append(labeler.table(dataset.features).array(dataset.n_messages))
     assert tables[0] == pytest.approx(tables[1], abs=1e-3)
     assert np.ptp(tables[0]) > 0.3
-
-
-def test_siblings_under_one_message_set_do_not_help(rng: np.random.Generator) -> None:
-    """Labels are random for each message set: a labeler that saw one label of a set knows all of
-    them, but fresh questions are unpredictable."""
-    dataset, _ = made(rng, [[0]], per_type=1, size=6000, n=7)
-    lot = rng.integers(2, size=1 << 7).astype(np.uint8)
-    dataset = replace(dataset, label=lot[dataset.message_set])
-    assert LabelerTrainer().fit(dataset, 0).accuracy > 0.75
-    assert abs(fresh_accuracy(dataset, LabelerTrainer(), 0) - 0.5) < 4 * (0.25 / 128) ** 0.5
 
 
 @pytest.mark.parametrize(("holdout", "n"), [(0.25, 2), (0.9, 1)])

@@ -196,13 +196,6 @@ def test_every_pair_is_separated_as_often_as_asked_and_no_oftener(seed, redundan
     assert min(separated(h, transitions[:-1], told[:-1]).values()) == 0
 
 
-def test_six_facts_seen_one_by_one_need_six_questions():
-    h = Hypotheses.of(1 - (np.arange(64)[:, None] >> np.arange(6) & 1))
-    transitions, told = battery(h, 1, 0)
-    assert sorted(transitions.tolist()) == list(range(6))
-    assert not told.any()  # no message needs to be read
-
-
 def test_each_transition_is_asked_about_before_one_is_asked_about_again():
     """Three transitions give the same information about each of two facts."""
     h = Hypotheses.of(np.repeat(1 - (np.arange(4)[:, None] >> np.arange(2) & 1), 3, axis=1))

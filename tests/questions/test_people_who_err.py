@@ -24,7 +24,7 @@ from xplain.learning.evidence import (
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
-from xplain.learning.prediction import predict, predict_held_out
+from xplain.learning.prediction import predict
 from xplain.learning.user_types import Single, learn_types
 
 
@@ -209,17 +209,6 @@ def test_answers_about_skills_are_predicted_nearly_as_by_the_truth():
 
 def nats(one, label):
     return float(-np.log(np.where(label, one, 1 - one)).mean())
-
-
-def test_held_out_answers_are_predicted_as_answers():
-    """No label counts as certain. Predictions are better than random, although three in ten answers
-    are wrong."""
-    rng = np.random.default_rng(8)
-    known = hypotheses()
-    data = erring(asked(known, [3] * 4 + [12] * 4, 60, rng), [0.3] * 8, rng)
-    trainer = HypothesisTrainer(hypotheses=known)
-    found = predict_held_out(data, DirichletMixture(labeler=trainer), trainer, 0)
-    assert -0.69 < found.types < -0.5
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -93,7 +93,7 @@ HARD = Problem(np.random.default_rng(0).random((4, 8, 16)), np.full(4, 0.5))
 def test_an_opened_node_has_the_sets_that_may_be_optimal_with_their_bounds(draw: Any) -> None:
     """A set is left out where it is not better, in any state, than nothing or than the set without
     one message. The values of plans are those of the messages that a known type needs."""
-    rng, left_out = np.random.default_rng(35), 0
+    rng = np.random.default_rng(35)
     for _ in range(15):
         problem = draw(rng)
         found = search(problem, Effort(gap=1e3, nodes=1))
@@ -156,8 +156,6 @@ def test_an_opened_node_has_the_sets_that_may_be_optimal_with_their_bounds(draw:
             ("later", later),
         ):
             np.testing.assert_allclose(actions[name], values[open_], atol=1e-9)
-        left_out += len(sets) - len(open_)
-    assert left_out > 0
 
 
 def test_memory_ends_a_search(caplog: pytest.LogCaptureFixture) -> None:
