@@ -94,10 +94,15 @@ def test_a_talk_restored_before_every_request_goes_on_as_one_that_never_stopped(
         whole = go_through(talks, kind, "anna", wrong, steps=10)
     assert go_through(anew(), kind, "anna", wrong, anew, 10) == whole
     assert len(whole) > 4
+    sentences = [task.description[key] for key in ("messages", "beliefs")]
+    assert all(text.endswith(".") for one in sentences for text in one.values())
+    assert sentences[0].keys() == sentences[1].keys() == {*task.types.messages}
     opened[-1].close()
 
 
-def test_what_is_sent_again_counts_once_whatever_replies_were_lost(service: Direct) -> None:
+def test_what_is_sent_again_counts_once_whatever_replies_were_lost(
+    service: Direct, task: ServedTask
+) -> None:
     service.lose = 0.4
     trace, sent = list(range(5)), 0
 
@@ -120,7 +125,7 @@ def test_what_is_sent_again_counts_once_whatever_replies_were_lost(service: Dire
             path = f"sessions/{session['id']}/answers"
             session = surely(path, number=now["number"], **came)
     service.lose = 0
-    assert len(service.get("labels.csv").text.splitlines()) - 1 == sent
+    assert len(service.get("labels.csv").text.splitlines()) - 1 == sent <= 8 * task.questions
 
 
 def test_labels_are_what_discover_reads(service: Direct, tmp_path: Path, talks: Talks) -> None:
@@ -128,6 +133,7 @@ def test_labels_are_what_discover_reads(service: Direct, tmp_path: Path, talks: 
         go_through(talks, "questionnaire", f"p{person}", {"fire"} if person % 2 else {"fence"})
     table = tmp_path / "labels.csv"
     table.write_text(service.get("labels.csv").text, encoding="utf-8")
+    assert "" not in table.read_text(encoding="utf-8").split("\n")[0].split(",")  # of columns
     hypotheses = talks.task.questionnaire.hypotheses
     hypotheses.save(tmp_path / "hypotheses.npz")
     assert {*read_table(table).feature_names} <= {*hypotheses.feature_names}  # alone as well
