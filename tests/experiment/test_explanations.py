@@ -8,7 +8,13 @@ import pytest
 
 from tests.handmade import a_prepared, with_cases
 from xplain.errors import InputError
-from xplain.experiment.explanations import Costs, evaluate, problem_for
+from xplain.experiment.explanations import (
+    Costs,
+    evaluate,
+    problem_for,
+    same_problems,
+    with_true_labels,
+)
 from xplain.experiment.pipeline import PreparedData
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.belief import Independent
@@ -83,6 +89,21 @@ def test_a_solver_plans_with_what_it_may_know(user):
         assert problem.type_names == names.get(knows, (prepared.types[user],))
         expected = [1 / 3, 2 / 3] if knows == "types" else [1]
         assert problem.prior.tolist() == pytest.approx(expected)
+
+
+def test_problems_are_the_same_if_types_shares_and_labels_are() -> None:
+    truth = with_true_labels(a_prepared())
+    assert same_problems(truth, truth)
+    first, *others = truth.cases
+    for change in (
+        {"learned_types": ("T1", "T2", "T4")},
+        {"matched_true_type": np.array([0, 1, 2])},
+        {"type_shares": np.array([0.4, 0.3, 0.3])},
+        {"cases": (replace(first, learned=first.everyone), *others)},
+        {"cases": (replace(first, learned=replace(first.learned, p=1 - first.learned.p)), *others)},
+        {"cases": (replace(first, questions="some"), *others)},
+    ):
+        assert not same_problems(replace(truth, **change), truth), change
 
 
 def test_no_oracle_where_true_types_are_unknown():

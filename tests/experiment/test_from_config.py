@@ -7,9 +7,10 @@ from hydra.errors import HydraException
 from hydra.utils import instantiate
 
 from tests.configurations import composed
+from tests.refusals import refused
 from xplain.errors import InputError
 from xplain.experiment.fingerprint import configuration
-from xplain.experiment.from_config import check, costs_of
+from xplain.experiment.from_config import check, component, costs_of
 from xplain.explanation.habits import PAPER
 
 GOOD = configuration(composed("domain=four_rooms"))
@@ -49,6 +50,22 @@ def test_types_that_do_not_fit_the_domain_are_found_behind_jobs_that_are_good() 
     check([GOOD, fits])
     with pytest.raises(InputError, match="lava"):
         check([GOOD, fits, other])
+
+
+@pytest.mark.parametrize(
+    ("target", "options", "said"),
+    [
+        ("xplain.solvers.greedy.Nothing", {}, r"^solver\._target_=.*greedy has .*QMDP"),
+        ("xplain.nowhere.QMDP", {}, r"^solver\._target_=.*finds no module 'xplain\.nowhere'"),
+        ("xplain.solvers.greedy.QMDP", {"memory": 1}, r"^solver\.memory=1: .*takes memory_gib"),
+        ("collections.OrderedDict", {}, "^solver='OrderedDict'.*lacks knows, plan"),
+    ],
+)
+def test_a_component_that_cannot_be_made_is_refused_with_what_can(
+    target: str, options: dict[str, Any], said: str
+) -> None:
+    with refused(said):
+        component({"solver": {"_target_": target, **options}}, "solver")
 
 
 def test_every_cost_is_the_one_of_its_key() -> None:

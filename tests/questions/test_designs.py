@@ -124,6 +124,8 @@ def test_hypotheses_must_be_about_the_robots_transitions(setting):
     foreign = Hypotheses.of(full.labels, messages=names, features=full.features + 50)
     with pytest.raises(InputError, match="transitions that the robot can make in corridor"):
         transitions_of(foreign, setting)
+    with pytest.raises(InputError, match=r"queries\.check=1"):
+        Adaptive(check=1.0)
 
 
 @pytest.mark.parametrize(("check", "least", "most"), [(0.0, 0.0, 0.1), (0.5, 0.2, 0.7)])
