@@ -43,7 +43,10 @@ BAD = [
     (["discover"], ["xplain: data: has to be given: data=VALUE"]),
     (["message_cost.fire=2"], ["message_cost.fire: no such key; ", "message_cost={fire: 2, …}"]),
     (["sweep=table1"], ["did you mean sweeps?"]),
-    (["--lambda", "1.5"], ["xplain: --lambda: no such flag", "without dashes: lambda=1.5"]),
+    (
+        ["seed=1", "--lambda", "1.5"],
+        ["xplain: --lambda: no such flag", "without dashes: lambda=1.5"],
+    ),
     (["--lambda=1.5"], ["xplain: --lambda=1.5: no such flag", "without dashes: lambda=1.5"]),
     (["lambda=-1"], ["lambda", "-1", "≥ 0"]),
     (["lambda=much"], ["lambda='much': a number"]),

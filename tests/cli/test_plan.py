@@ -48,8 +48,10 @@ def test_all_prints_a_comparison_and_one_list_whose_rows_are_plans(run, file) ->
     alone = [problem.with_types(p[None], ("alone",)) for p in problem.p_explicable]
     known = sum(p * reduced_optimal_value(q) for p, q in zip(problem.prior, alone, strict=True))
     for row in rows:
-        # The name, then somewhere behind it the value.
-        assert re.search(rf"\b{row['solver']} .*{row['value']:.4f}", table), row
+        # The name, the messages that it gives first, then somewhere behind them the value.
+        told = row["first_messages"]
+        first = "by type" if told is None else " ".join(map(str, told)) or "none"
+        assert re.search(rf"\b{row['solver']} \W+{first}\W.*{row['value']:.4f}", table), row
         assert set(row) >= KEYS | {"seconds"}
         assert row["optimal_lower"] - 1e-9 <= optimum <= row["optimal_upper"] + 1e-9
         assert row["optimal_upper"] - row["optimal_lower"] <= 1e-3 + 1e-9

@@ -88,8 +88,9 @@ def test_the_model_plays_by_the_rules(seed: int) -> None:
         assert model.probability[state, action].tolist() == [1.0]
         assert model.reward[state, action, 0] == pytest.approx(rules.play(letter)), letter
         state, before = int(model.successor[state, action, 0]), state
-        verb = domain.describe(np.array([before, action, state])).split()[0]
-        assert verb != ("moves" if "V" in rules.done else "carries")
+        assert not domain.describe(np.array([before, action, state])).startswith(
+            "moves " if "V" in rules.done else "carries "
+        )
         assert domain.position(state) == rules.cell
         assert len(domain.situation(state)) == len(rules.done)
         assert model.terminal[state] == rules.ended

@@ -246,7 +246,8 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     with closing(Store(path, Study.of(plan))) as store:
         visitors = (bot_of(store.flow, number) for number in range(10))
         assert {*take_part(store, visitors, "bot")} == {"done"}
-    run("study export", path, "out")
+    run("study export", path, "out", "--identifiers", "identifiers.csv")
+    assert len(pd.read_csv(tmp_path / "identifiers.csv")) == 10
     assert "Messages" in run("study analyse", "out", "--stream", "bot")[1]
     people = pd.read_csv(tmp_path / "out" / "participants.csv")
     means = people.groupby("condition")[["messages_given", "inexplicable_transitions"]].mean()

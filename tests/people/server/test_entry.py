@@ -246,6 +246,11 @@ def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(
         words = (f"database={store.path}", f"server.address={address}", f"consent={consented}")
         code, said, error = run("study", *words)
         assert (code == 0, "served" in said, "[EDIT: …]" not in error) == (served,) * 3, error
+        assert "anybody can invent an id" not in error
+    assert (
+        "anybody can invent an id"
+        in run(f"study {' '.join(words)} server.entry=[platform] server.studies=[s]")[2]
+    )
 
 
 def test_two_studies_on_one_host_share_a_browser(store: Store, opened: Opened) -> None:

@@ -61,6 +61,13 @@ def test_what_is_signed_is_good_for_one_owner_and_one_server(store: Store, opene
     assert store.researcher_key != other.researcher_key
 
 
+STRICT = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+}
+
+
 def test_headers_keep_browsers_strict(client: Client, store: Store) -> None:
     for path in ("/", "/study", "/nowhere", "/researcher", "/static/study.js"):
         headers = client.get(path).headers
@@ -68,9 +75,7 @@ def test_headers_keep_browsers_strict(client: Client, store: Store) -> None:
         assert "unsafe" not in policy
         assert "default-src 'none'" in policy
         assert "frame-ancestors 'none'" in policy
-        assert headers["X-Content-Type-Options"] == "nosniff"
-        assert headers["X-Frame-Options"] == "DENY"
-        assert headers["Referrer-Policy"] == "no-referrer"
+        assert [headers[name] for name in STRICT] == [*STRICT.values()]
         stored = headers["Cache-Control"]
         assert stored == ("public, max-age=3600" if "static" in path else "no-store")
     cookie = newcomer(store).client.get("/").headers["Set-Cookie"]
