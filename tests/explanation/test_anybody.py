@@ -170,12 +170,6 @@ def test_more_messages_than_twelve_are_planned_for_as_before(n: int) -> None:
     assert (Open().people(problem, None, None) is problem) == (n > 12)
 
 
-def test_missed_messages_are_habits_of_everybody() -> None:
-    *_, problem, facts = world(np.random.default_rng(0))
-    opened = Open(accept=0.6).people(problem, None, facts)
-    assert (opened.accept == 0.6).all()
-
-
 def test_a_type_keeps_its_prior_whoever_can_keep_a_belief() -> None:
     """Both sets of one fact are found types. Nobody of the first type has a belief to keep, and
     nobody keeps one if messages may be missed."""
@@ -184,6 +178,7 @@ def test_a_type_keeps_its_prior_whoever_can_keep_a_belief() -> None:
     for way in (Open(), Open(0.1), Open(accept=0.6)):
         opened = way.people(problem, None, facts)
         assert opened.type_belief(opened.start) == pytest.approx(np.array([7, 7, 1]) / 15)
+        assert (opened.accept == way.accept).all()
 
 
 UNKNOWN = habits_of("learned", "learned", "learned")

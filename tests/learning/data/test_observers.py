@@ -1,6 +1,7 @@
 """Traces of the robot, the questions that observers are asked, and their labels."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,10 @@ from numpy.typing import NDArray
 
 from tests.domains.users.corridor import Corridor
 from tests.refusals import refused
-from xplain import MDP, InputError, Setting, UserType
+from xplain import MDP, Setting, UserType
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.learning.data.label_file import write_table
-from xplain.learning.data.observers import FileObservers, SimulatedObservers
+from xplain.learning.data.observers import FileObservers, Observations, SimulatedObservers
 from xplain.learning.data.queries import (
     Answer,
     Independent,
@@ -210,9 +211,24 @@ def test_observers_err_each_on_their_own(setting: Setting, design: type[Queries]
     assert abs(apart).max() < 5 * 0.21 / 3000**0.5
 
 
-def test_counts_must_fit_the_types(setting: Setting) -> None:
-    with pytest.raises(InputError, match="2 of them"):
-        labelled(setting, per_type=[1, 2, 3])
+@pytest.mark.parametrize(
+    ("per_type", "said"),
+    [([1, 2, 3], "2 of them"), *((x, "a number ≥ 1") for x in (0, [1, 0], 1.5, [[1, 2]], "2"))],
+)
+def test_counts_must_fit_the_types(setting: Setting, per_type: Any, said: str) -> None:
+    with refused(said, "observers.per_type"):
+        labelled(setting, per_type=per_type)
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [("path", {"feature_names": ("x", "y")}), ("messages", {"messages": ("toll", "end")})],
+)
+def test_labels_of_another_task_are_refused(
+    setting: Setting, key: str, changes: dict[str, Any]
+) -> None:
+    with refused(rf"^observers\.{key}="):
+        Observations(replace(labelled(setting)[0], **changes), setting=setting)
 
 
 def test_a_file_takes_their_place_and_may_hold_more_than_the_domain_asks_for(
