@@ -32,7 +32,7 @@ def rescue():
     ("user", "more"),
     [
         ("A", ()),
-        ("E", ("ask=clips", "explainee=heedless", "points=25")),  # types with unequal shares
+        ("C", ("ask=clips", "explainee=heedless", "points=25")),  # types with unequal shares
         ("E", ("prior=observers", "points=25")),
     ],
 )
@@ -63,6 +63,7 @@ def test_it_plays_the_experiments_episode(rescue, user, more):
 def test_by_default_it_tells_of_a_type_that_is_found_with_few_messages(rescue):
     """No user of any type is found on this trace with fewer messages, unless nothing is said."""
     found = {}
+    assert rescue.case is rescue.prepared.cases[1]
     for user in rescue.prepared.types:
         played = play(rescue, user)
         said = sum(len(step.said) for step in played.steps)
@@ -84,6 +85,8 @@ def test_the_page_holds_the_session_and_loads_nothing(rescue):
     html = page(rescue, played)
     data = re.search(r"^const D = (.*);$", html, re.MULTILINE)
     assert json.loads(data.group(1)) == json.loads(json.dumps(content(rescue, played)))
+    assert "costs a penalty of" in content(rescue, played)["believes"][0]
+    assert "question" not in content(rescue, played)["steps"][0]["values"][0]
     outside = r"(?:src|href|url|import|fetch)\s*[=(]\s*[\"']?([^\"'\s)>]*)"
     assert {*re.findall(outside, html)} <= {"data:,"}
     assert "http" not in html.replace("http://www.w3.org/2000/svg", "")
