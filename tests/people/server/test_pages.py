@@ -164,9 +164,12 @@ def test_an_answer_to_a_page_that_was_not_shown_is_refused(store: Store) -> None
     assert client.post("/study", data=unseen).status_code == 409
     assert Page.of_html(visitor.get("/study")[1]).stage == "briefing"
     assert client.post("/study", data=unseen).status_code == 303
-    events = store.participant(store.present()[0].id).events
     # No page was open for less than no time.
-    assert [one.browser for one in events if one.source == "protocol"] == [1500.5, None]
+    assert [
+        event.browser
+        for event in store.participant(store.present()[0].id).events
+        if event.source == "protocol"
+    ] == [1500.5, None]
 
 
 def test_a_question_comes_with_the_messages_moves_no_progress_and_counts_once(
