@@ -1,5 +1,6 @@
 """Fixtures for all tests: commands that run as a user runs them, in separate folders."""
 
+import gc
 import logging
 import os
 from collections.abc import Callable, Iterator
@@ -14,10 +15,11 @@ from hypothesis import settings
 
 from tests import forked, processes
 from tests.chromium import Driver, browser, missing
-from xplain.cli.main import main
+from xplain.cli.main import THRESHOLDS, main
 
 ROOT = Path(__file__).parent.parent
 processes.end_as_on_ctrl_c()
+gc.set_threshold(*THRESHOLDS)
 settings.register_profile("untimed", deadline=None)  # a machine may be busy
 settings.load_profile("untimed")
 
@@ -50,6 +52,7 @@ kernel."""
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Starts the longest files first, so that none runs alone at the end."""
+    gc.freeze()  # what was imported and collected stays, and is not searched for garbage again
     first = {ROOT / "tests" / file: place for place, file in enumerate(LONGEST)}
     items.sort(key=lambda item: first.get(item.path, len(first)))
 

@@ -34,6 +34,7 @@ _PROCESSES.set_forkserver_preload(
         "pyarrow.pandas_compat",
         "sklearn.tree",
         "matplotlib.backends.backend_agg",
+        "tests.frozen",
     ]
 )
 _SECONDS = 900
