@@ -70,26 +70,21 @@ def pytest_sessionfinish() -> None:
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     if config.getoption("markexpr") == "not slow and not browser":
-        words = "left out: what is slow (make test-slow) or needs a browser (make browser-test)"
-        terminalreporter.write_line(words)
+        terminalreporter.write_line(
+            "left out: what is slow (make test-slow) or needs a browser (make browser-test)"
+        )
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes(config: pytest.Config, specs: list[object]) -> None:
     """Prints a line, because the terminal would otherwise show nothing for a while."""
-    _say(config, f"{len(specs)} processes read all tests before the first one runs (20 s and more)")
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
-    _say(node.config, f"{node.gateway.id} has read {len(ids)} tests")
-
-
-def _say(config: pytest.Config, words: str) -> None:
     terminal = config.pluginmanager.get_plugin("terminalreporter")
     if terminal is not None:
         terminal.ensure_newline()
-        terminal.write_line(words, flush=True)
+        terminal.write_line(
+            f"{len(specs)} processes read all tests before the first one runs (20 s and more)",
+            flush=True,
+        )
 
 
 @pytest.fixture(autouse=True)
