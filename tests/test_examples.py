@@ -174,13 +174,3 @@ print(q.best, q.none < 0.05, abs(q.posterior.sum() + q.none - 1) < 1e-9)
 """
     where = elsewhere("", tmp_path)
     assert ran(bare, "-c", program, **where).split() == ["5", "True", "True"]
-
-
-def test_examples_test_themselves_in_three_lines():
-    for name in EXAMPLES:
-        tests = (ROOT / "examples" / name / "tests").glob("test_*.py")
-        lines = [[line for line in test.read_text().splitlines() if line.strip()] for test in tests]
-        assert min(map(len, lines)) == 3
-        choices = [*(ROOT / "examples" / name / "conf").rglob("*.yaml")]
-        assert choices
-        assert all("# " in choice.read_text() for choice in choices)

@@ -12,9 +12,13 @@ from sklearn.ensemble import GradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
+from tests.domains.configs import domain_of
 from tests.learning.conftest import made
-from xplain import Clustering, TooLargeError
+from xplain import Clustering, Setting, TooLargeError
+from xplain.domains.users.types import RandomCover
 from xplain.learning.data.dataset import Dataset, inputs, query_index
+from xplain.learning.data.observers import SimulatedObservers
+from xplain.learning.data.queries import Independent, Shared
 from xplain.learning.labelers import FittedLabeler, LabelerTrainer, fresh_accuracy, split
 from xplain.learning.prediction import (
     calibration,
@@ -162,6 +166,30 @@ def test_fresh_questions_have_message_sets_that_were_not_learned_from(
     assert fresh_accuracy(dataset, trainer, 4) == pytest.approx(np.mean(shares))
     alone = dataset.take(np.flatnonzero(dataset.message_set == 0))
     assert np.isnan(fresh_accuracy(alone, trainer, 4))
+
+
+def test_what_is_said_of_fresh_questions_is_what_they_show() -> None:
+    """With sixty labels of each observer and the same questions for all, this figure is right
+    within two standard errors, and the accuracy on held-out (transition, message set) is too
+    high."""
+    domain = domain_of("domain=four_rooms")
+    gaps = []
+    for seed in range(8):
+        setting = Setting.build(domain, RandomCover(3).types(domain, np.random.default_rng(seed)))
+        observed = SimulatedObservers(points=60).collect(setting, Shared(), seed)
+        later = SimulatedObservers(1, 1000).collect(setting, Independent(), seed + 10**6)
+        for user_type in range(3):
+            own, new = (
+                o.dataset.of(np.flatnonzero(o.truth == user_type)) for o in (observed, later)
+            )
+            labeler = LabelerTrainer().fit(own, seed)
+            said = labeler.predict(new.features[new.transition], new.message_set)
+            shown = labeler.accuracy, fresh_accuracy(own, LabelerTrainer(), seed)
+            gaps.append(np.array(shown) - (said == new.label).mean())
+    held_out, fresh = np.mean(gaps, axis=0)
+    error = np.std(gaps, axis=0, ddof=1) / len(gaps) ** 0.5
+    assert held_out > 2 * error[0]
+    assert abs(fresh) < 2 * error[1]
 
 
 def test_who_gave_no_label_before_is_predicted_by_everybodys(rng: np.random.Generator) -> None:

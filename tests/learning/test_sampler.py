@@ -273,38 +273,6 @@ def test_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
     assert batches.mean() == pytest.approx(4 * (1 - np.exp(not_one)), abs=4 * error + 0.005)
 
 
-class Called(Exception):
-    """The chains were started."""
-
-
-@pytest.mark.parametrize(
-    ("n", "observers", "asked", "depth", "sweeps"),
-    [
-        *((4, 2, None, 4, 100), (12, 2, None, 5, 100), (13, 2, None, 4, 100), (12, 2, 2, 2, 100)),
-        *((38, 2, None, 4, 100), (39, 2, None, 3, 100), (18, 2, 5, 5, 100)),
-        *((12, 3000, None, 5, 100), (12, 3001, None, 4, 99), (12, 20_000, None, 4, 20)),
-    ],
-)
-def test_effort_is_less_for_more_messages_and_observers(
-    n: int, observers: int, asked: Any, depth: int, sweeps: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A chain ends after 300,000 updates of an observer, but not before 20 sweeps. Every second
-    chain begins with one type."""
-    started: list[Any] = []
-
-    def start(answers: Any, prior: Any, concentration: float, first: Any, *rest: Any) -> None:
-        started.append((prior, concentration, *rest[:2], bool((first == (1 << n) - 1).all())))
-        if len(started) == 4:
-            raise Called
-
-    monkeypatch.setattr(sampler, "sample", start)
-    monkeypatch.setattr(Prior, "of", lambda *size: size)
-    dataset, _ = made(np.random.default_rng(0), [[0]], per_type=observers, size=1, n=n)
-    with pytest.raises(Called):
-        DirichletMixture(0.5, asked).cluster(Observations(dataset), 0)
-    assert started == [((n, depth), 0.5, sweeps, 4.0, chain % 2 == 0) for chain in range(4)]
-
-
 def test_too_many_sets_of_messages_are_refused() -> None:
     dataset, _ = made(np.random.default_rng(0), [[0]], size=5, n=19)
     with refused("depth=5: too many sets of 19 messages; at most 4", kind=TooLargeError):
