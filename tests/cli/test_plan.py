@@ -138,6 +138,7 @@ def test_a_saved_question_is_planned_with_by_those_who_ask(run, asking) -> None:
     rows = {row["solver"]: row for row in json.loads(out.splitlines()[-1])}
     assert (code, "ask 0" in out) == (0, True)
     assert rows["conformant"]["first_question"] is None
+    assert "first_question" not in rows["oracle"]
     assert rows["conformant"]["value"] == pytest.approx(-2)
     for row in (rows["qmdp"], rows["certified"]):
         assert row["first_messages"] is None

@@ -209,13 +209,19 @@ def test_a_fact_is_right_unless_it_is_held_wrong_and_was_not_told(setting: Setti
             assert found[t].tolist() == wanted
 
 
-def test_what_types_know_is_what_is_left_until_they_are_told(setting: Setting) -> None:
+@pytest.mark.parametrize("most", [12, 2])
+def test_what_types_know_is_what_is_left_until_they_are_told(
+    setting: Setting, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A message tells a type about the facts that it most probably believes incorrectly."""
+    monkeypatch.setattr("xplain.experiment.asking.MOST_TOLD", most)
     rng = np.random.default_rng(0)
     wrong = np.where(rng.random((3, 6)) < 0.3, 0.004, rng.random((3, 6)))
     learned = belief_questions(setting, wrong, 0).learned
     for given in range(1 << 6):
         told = np.array([given >> j & 1 for j in range(6)], bool)
-        wanted = np.where(told & (wrong >= 0.01), 1, 1 - wrong)
+        likely = wrong >= np.maximum(np.sort(wrong)[:, [-min(most, 6)]], 0.01)
+        wanted = np.where(told & likely, 1, 1 - wrong)
         np.testing.assert_allclose(learned.label_probabilities(6, given), wanted)
 
 

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from tests.configurations import composed, world
-from xplain.experiment.explanations import COMPARED, WAYS, Costs, estimate_costs, evaluate
+from xplain.experiment.explanations import (
+    COMPARED,
+    WAYS,
+    Costs,
+    estimate_costs,
+    evaluate,
+    problem_of_types,
+)
 from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import with_others
 from xplain.explanation.anybody import Open
@@ -94,4 +101,6 @@ def test_estimated_costs_are_those_of_people_like_the_observers(way: int) -> Non
     for name, own in found.items():
         paid = np.mean([one.episode.cost for one in records if one.solver == name])
         assert abs(own.mean - paid) <= (1e-9 if way == 0 else 3 * (own.high - own.mean))
+    # Each set of facts may be believed incorrectly.
+    assert problem_of_types(prepared, prepared.cases[0], costs, Open()).n_types >= 1 << 6
     assert way < 3 or min(found, key=lambda name: found[name].mean) != "these types"

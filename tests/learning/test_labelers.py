@@ -91,8 +91,11 @@ def test_leaves_of_a_fitted_tree_by_hand() -> None:
     assert labeler.table(np.zeros((1, 1))).array(1)[0] == pytest.approx(
         np.array([[1.6 / 6, 6.4 / 8]])
     )
-    plain = fitted(tree, 1, 0.7, 8)
-    assert plain.table(np.zeros((1, 1))).array(1)[0] == pytest.approx(np.array([[0.3, 0.7]]))
+    # Not calibrated, and calibrated by one label: never surer than 1 - 1 / (1 + 2).
+    for tested, calibrated, low in ((8, False, 0.3), (1, True, 1 / 3)):
+        other = fitted(tree, 1, 0.7, tested, calibrated=calibrated)
+        expected = np.array([[low, 1 - low]])
+        assert other.table(np.zeros((1, 1))).array(1)[0] == pytest.approx(expected)
 
 
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 7))

@@ -15,9 +15,9 @@ from omegaconf import OmegaConf
 from tests.configurations import composed
 from tests.runs import sweeps
 from xplain.experiment.config import CONF, GROUPS, register
-from xplain.report.folder import SweepFolder
+from xplain.report.folder import ListedJob, SweepFolder
 from xplain.runs.job import Job, run_in_sweep
-from xplain.runs.plan import EACH, MANY, Plan
+from xplain.runs.plan import EACH, MANY, Plan, label_jobs
 
 
 def addresses(folder):
@@ -54,8 +54,7 @@ def test_the_end_tells_the_table_and_the_links(finished):
         "start its server first: mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db"
         in output
     )
-    assert "\x1b" not in output  # clean where the output is no terminal
-    assert "\r" not in output
+    assert not {*"\x1b\r"} & {*output}  # clean where the output is no terminal
 
 
 def test_mlflow_has_one_parent_with_the_answer_and_children(finished):
@@ -109,6 +108,13 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     assert again == {path.parent.name for path in (lost, damaged, other)}
     # The same numbers, whoever computed them.
     assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
+
+
+def test_labels_begin_with_the_setting() -> None:
+    swept = [{"solver": solver, "points": points} for solver in "ab" for points in "12"]
+    assert [job.label for job in label_jobs([ListedJob("", (), one, "") for one in swept])] == [
+        *("points=1 a", "points=2 a", "points=1 b", "points=2 b")
+    ]
 
 
 def test_many_jobs_are_batches_each_of_one_data_set(tmp_path):

@@ -174,7 +174,7 @@ def _list_texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
 def _find_file(text: str) -> Path | None:
     """Returns the file that a text of the configuration names, if any. The text is a path, or
     ``pkg://package/path`` inside an installed package."""
-    if "\n" in text or not 0 < len(text) < 1000:
+    if "\n" in text or len(text) >= 1000:
         return None
     path = Path(text)
     if text.startswith("pkg://"):

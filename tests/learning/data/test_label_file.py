@@ -394,6 +394,7 @@ def test_columns_that_can_hardly_be_features_are_named_and_the_advice_works(
     except InputError as error:
         text = str(error)
     assert all(words in text for words in said)
+    assert ("nearly every answer" in text) == (said[0].startswith("nearly"))
     assert {*read_table(path, features=followed(text, advice)).feature_names} == {*taken}
 
 
