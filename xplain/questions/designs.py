@@ -333,7 +333,7 @@ def _find_likely(questions: Questionnaire) -> Posterior:
     """Returns the candidates with their probabilities, after all answers of an observer. If
     further candidates can be added to the hypotheses, unlikely candidates are left out."""
     known, posterior = questions.hypotheses, questions.posterior / questions.posterior.sum()
-    kept = posterior >= KEPT * (known.further is not None)
+    kept = (posterior >= KEPT) | (known.further is None)
     return known.facts[kept], posterior[kept] / posterior[kept].sum()
 
 
