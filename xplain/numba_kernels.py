@@ -28,7 +28,7 @@ because a call would copy every array of the tuples."""
 _OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 inner = partial(numba.njit, **_OPTIONS, no_cpython_wrapper=True)
-"""Decorates a function that only kernels call: without an entry for Python, which takes a sixth of
+"""Decorates a function that only kernels call: without an entry for Python, which takes an eighth of
 the time of compiling."""
 
 small = partial(inner, forceinline=True)
