@@ -28,8 +28,8 @@ because a call would copy every array of the tuples."""
 _OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 inner = partial(numba.njit, **_OPTIONS, no_cpython_wrapper=True)
-"""Decorates a function that only kernels call: without an entry for Python, which takes an eighth of
-the time of compiling."""
+"""Decorates a function that only kernels call: without an entry for Python, which takes an eighth
+of the time of compiling."""
 
 small = partial(inner, forceinline=True)
 """Decorates a function that gets numbers and a few arrays: numba compiles it once, and LLVM copies
