@@ -1,5 +1,5 @@
 """Tools for compiled kernels: decorators, functions on bitmasks, and random numbers. Of numba they
-use the public API and three options that numba's compiler reads for each function: ``_nrt``, and
+use the public API and three options that numba's compiler reads for each function: ``_nrt``,
 ``no_cpython_wrapper`` and ``no_cfunc_wrapper``.
 
 numba caches machine code beside the source, or below ``NUMBA_CACHE_DIR``, and uses it until the
@@ -28,8 +28,8 @@ because a call would copy every array of the tuples."""
 _OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 inner = partial(numba.njit, **_OPTIONS, no_cpython_wrapper=True)
-"""Decorates a function that only kernels call: without an entry for Python, which takes an eighth
-of the time of compiling."""
+"""Decorates a function that only kernels call. numba then makes no entry for Python, which would
+take an eighth of the time of compiling."""
 
 small = partial(inner, forceinline=True)
 """Decorates a function that gets numbers and a few arrays: numba compiles it once, and LLVM copies

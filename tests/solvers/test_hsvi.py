@@ -89,7 +89,7 @@ HARD = Problem(np.random.default_rng(0).random((4, 8, 16)), np.full(4, 0.5))
 """Far from closed after thousands of beliefs."""
 
 
-@pytest.mark.parametrize("draw", [random_problem, missing, lambda rng: needy(rng)])
+@pytest.mark.parametrize("draw", [random_problem, missing, needy])
 def test_an_opened_node_has_the_sets_that_may_be_optimal_with_their_bounds(draw: Any) -> None:
     """A set is left out where it is not better, in any state, than nothing or than the set without
     one message. The values of plans are those of the messages that a known type needs."""
@@ -144,8 +144,8 @@ def test_an_opened_node_has_the_sets_that_may_be_optimal_with_their_bounds(draw:
         if process.jump is None:
             best = [(own[:, 1, at] @ start).max() for at in cells]
             lower = np.maximum(lower, base @ start + later * best)
-        lower, least = np.minimum(lower, upper), max((own[:, 0, cells[0]] @ start).max(), -np.inf)
-        least = max(least, lower[useful].max())
+        lower = np.minimum(lower, upper)
+        least = max((own[:, 0, cells[0]] @ start).max(), lower[useful].max())
         open_ = [c for c in useful if upper[c] >= least - 1e-9 or upper[c] == upper[useful].max()]
         actions = store.actions[: store.used[1]]
         assert actions["messages"].tolist() == open_

@@ -48,7 +48,7 @@ class LabelTable:
 
     relevant: NDArray[np.int64]
     p: NDArray[np.float64]
-    answers: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    answers: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def __post_init__(self) -> None:
         """Converts the arrays to one memory layout, because kernels are compiled only for this
